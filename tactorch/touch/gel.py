@@ -18,11 +18,13 @@ class GelPart:
     """Mesh of a gel with smaller cells at the center.
 
     Attributes:
+        layer: The gel.
         mesh: Mesh in the sensor frame, mm.
         face: Nodes of the outer face.
         window: Nodes that are bonded to the window.
     """
 
+    layer: GelLayer
     mesh: TetMesh
     face: Int[np.ndarray, " k"]
     window: Int[np.ndarray, " w"]
@@ -45,4 +47,4 @@ class GelPart:
         points[:, :2] *= _CENTER + (1.0 - _CENTER) * outward
         height = gel.height_mm(points[:, :2])
         points[:, 2] = height - depth * (height + gel.thickness_mm)
-        return GelPart(TetMesh(points, regular.mesh.tets), regular.face, regular.window)
+        return GelPart(gel, TetMesh(points, regular.mesh.tets), regular.face, regular.window)

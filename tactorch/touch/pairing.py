@@ -78,6 +78,8 @@ def face_each_other(body: TetMesh, shape: Shape, gel: GelPart, pose: Pose) -> Fa
     triangles, areas = face.triangles[outer], face.areas[outer]
     count = len(TRIANGLE_POINTS)
     points = np.einsum("pc,tcd->tpd", TRIANGLE_POINTS, gel.mesh.points[triangles]).reshape(-1, 3)
+    # Elements have straight sides; the gaps are those of the face itself.
+    points[:, 2] = gel.layer.height_mm(points[:, :2])
     hits = first_hits(moved, body.surface.triangles, points[:, :2])
     heights = shape_heights(shape, pose, points[:, :2])
     rows = np.flatnonzero((hits.triangles >= 0) & np.isfinite(heights))

@@ -47,12 +47,13 @@ def draw_gel(
         options: Lamps, noise and darkness of the markers.
         seed: Seed of the noise of the camera.
     """
-    deformed = points + displacement
+    at = points[:, :2] + displacement[:, :2]
+    # Elements have straight sides: on a curved face nodes are not on the face itself.
+    risen = displacement[:, 2] + sensor.gel.height_mm(points[:, :2]) - sensor.gel.height_mm(at)
     rows, columns = np.indices(sensor.shape)
     pixels = sensor.to_mm(np.stack([columns, rows], axis=-1).reshape(-1, 2).astype(float))
-    height = CloughTocher2DInterpolator(deformed[:, :2], deformed[:, 2])(pixels)
-    rise = np.where(np.isfinite(height), height - sensor.gel.height_mm(pixels), 0.0)
-    rise = rise.reshape(sensor.shape)
+    found = CloughTocher2DInterpolator(at, risen)(pixels)
+    rise = np.where(np.isfinite(found), found, 0.0).reshape(sensor.shape)
     markers = sensor.to_px(_markers(sensor, points, displacement))
     image = render(sensor, GelSurface(rise, markers), options, seed)
     low, high = np.array([-0.5, -0.5]), np.array(sensor.image_size_px) - 0.5

@@ -11,7 +11,7 @@ from tactorch.mesh import Hemisphere, Lathe
 from tactorch.mesh.lattice import lattice_mesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import MaterialSpec, Recording
-from tactorch.sensor.description import load_sensor
+from tactorch.sensor.description import GelLayer, SensorDescription, load_sensor, save_sensor
 from tactorch.sensor.render import RenderOptions
 from tactorch.touch import Touch, TouchOptions, simulate_touch
 
@@ -118,6 +118,19 @@ def test_images_have_the_wanted_width_and_noise(sensor_file: Path) -> None:
     _, noisy = touch(sensor_file, presses=(1, 1), render=RenderOptions(noise=5.0))
     spread = (noisy.reference.astype(float) - exact.reference).std()
     assert spread == pytest.approx(5.0, rel=0.1)
+
+
+def test_height_of_a_curved_gel_is_relative_to_its_rest(tmp_path: Path) -> None:
+    """A face of straight elements would show its edges."""
+    gel = GelLayer(2.5, 0.2, 0.45, radius_mm=6.0, curvature_radius_mm=14.0)
+    path = tmp_path / "dome.yaml"
+    save_sensor(SensorDescription("dome", (48, 48), (0.2, 0.2), gel), path)
+    _, found = touch(path, presses=(1, 1), depth_mm=(0.4, 0.4))
+    height = found.height_mm[0]
+    assert height.min() < -0.05
+    rim = np.concatenate([height[0], height[-1], height[:, 0], height[:, -1]])
+    assert np.abs(rim).max() < 0.02
+    assert np.abs(np.diff(rim)).max() < 0.01
 
 
 def test_sensor_without_markers_has_none(sensor_file: Path, tmp_path: Path) -> None:
