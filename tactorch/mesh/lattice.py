@@ -1,8 +1,8 @@
 """Meshes of any shape from a regular lattice: in a fraction of a second, the same every time.
 
 The lattice is cut at the surface of the shape (see `tactorch.mesh.conform`). Boundary nodes are on
-the surface, and flat sides of the bounding box are flat; other sharp edges are cut off within an
-element.
+the surface, those close to a side of the bounding box on this side, so that flat sides are flat and
+the mesh has the bounding box of the shape. Other sharp edges are cut off within an element.
 """
 
 from typing import NamedTuple

@@ -26,6 +26,7 @@ def test_mesh_fills_the_shape_and_stands_on_its_base(shape: Shape) -> None:
     base = mesh.surface.normals[:, 2] < -0.999
     flat = mesh.points[mesh.surface.triangles[base]][:, :, 2]
     assert (flat == shape.bounds()[0, 2]).all(axis=1).sum() > 10
+    np.testing.assert_allclose(mesh.bounds, shape.bounds(), atol=1e-9)
     assert mesh.volumes.min() > 5e-4 * np.median(mesh.volumes)
 
 

@@ -8,10 +8,14 @@ import pytest
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.fem.contact import Ball, Contact
-from tactorch.mesh import Sphere
+from tactorch.mesh import Box, Sphere
+from tactorch.mesh.lattice import lattice_mesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import MaterialSpec
+from tactorch.sensor.description import GelLayer
 from tactorch.touch import GelPress, TouchScene
+from tactorch.touch.gel import GelPart
+from tactorch.touch.pairing import face_each_other
 from tactorch.touch.scene import held_nodes
 
 Make = Callable[..., TouchScene]
@@ -88,6 +92,19 @@ def test_first_touch_is_that_of_the_shape(make_scene: Make, above: np.ndarray) -
     (press,) = make_scene().press(pose, [DOWN])
     assert press.first_pose[2, 3] == pytest.approx(6.0, abs=0.03)
     assert press.pose[2, 3] == pytest.approx(press.first_pose[2, 3] - 0.6)
+
+
+def test_gaps_of_a_curved_gel_are_those_of_its_face() -> None:
+    """Its elements have straight sides."""
+    layer = GelLayer(2.5, 0.2, 0.45, radius_mm=6.0, curvature_radius_mm=14.0)
+    box = Box((0.0, 0.0, 4.0), (14.0, 14.0, 8.0))
+    body, gel = lattice_mesh(box, 4.0), GelPart.of(layer, 2.0, 2)
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = 10.0
+    facing = face_each_other(body, box, gel, pose)
+    assert facing is not None
+    expected = 2.0 - layer.height_mm(facing.points[:, :2])
+    np.testing.assert_allclose(facing.gaps_mm, expected, atol=1e-6)
 
 
 def test_rigid_body_is_a_rigid_ball(make_scene: Make, above: np.ndarray) -> None:

@@ -108,6 +108,28 @@ def test_same_generator_gives_the_same_presses(sensor_file: Path) -> None:
     assert (one[1].poses != other[1].poses).any()
 
 
+def test_presses_are_solved_on_the_other_mesh(sensor_file: Path) -> None:
+    """The recording has its own mesh; forces are those of the simulation's mesh."""
+    options = TouchOptions(
+        sensor=str(sensor_file), gel_edge_mm=1.8, presses=(1, 1), max_slope_deg=30.0
+    )
+    body = Phantom(Hemisphere((0.0, 0.0, 0.0), 6.0), (), 0.2)
+    scenes = []
+    for edges in ((1.5, 2.5), (1.0, 2.5), (1.5, None)):
+        mesh, fine = (None if e is None else lattice_mesh(body.body, e) for e in edges)
+        rng = np.random.default_rng(3)
+        assert mesh is not None
+        scenes.append(
+            simulate_touch(body, mesh, fine, material=NEO_HOOKEAN, options=options, rng=rng)
+        )
+    (first, one), (second, two), (third, three) = scenes
+    np.testing.assert_array_equal(one.gel_forces, two.gel_forces)
+    assert first.mesh.n_points < second.mesh.n_points
+    assert (one.gel_forces != three.gel_forces).any()
+    assert not first.provenance["same_mesh"]
+    assert third.provenance["same_mesh"]
+
+
 def test_images_have_the_wanted_width_and_noise(sensor_file: Path) -> None:
     options = TouchOptions(sensor=str(sensor_file), image_width_px=80)
     description, own = options.description(), load_sensor(sensor_file)
