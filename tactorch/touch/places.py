@@ -13,6 +13,7 @@ from tactorch.touch.scene import TouchScene
 _MAX_DRAWS = 60
 _SHARP = 0.75  # cosine of the angle to normals beyond an edge, which do not count
 _CENTRAL = 0.5  # distance of the first touch from the axis, over half the size of gel or image
+_LAG = 0.5  # motion from first touch to that of the place, over the largest depth
 
 Vector = Float[np.ndarray, "3"]
 
@@ -21,7 +22,8 @@ def draw_place(scene: TouchScene, rng: np.random.Generator) -> tuple[Pose, Facin
     """Draw a place on the surface of a body and a pose over it, uniform over the area.
 
     The sensor's axis is the inward normal, tilted a little; its turn about the axis is random.
-    Places at which the gel first touches the body far from its center are drawn again.
+    Places are drawn again at which the gel first touches the body far from its center, unless the
+    place is touched soon afterwards, as on flat sides.
 
     Returns:
         T_object_sensor, whose origin is on the surface, and the gel in front of the body.
@@ -44,7 +46,10 @@ def draw_place(scene: TouchScene, rng: np.random.Generator) -> tuple[Pose, Facin
         triangle = int(triangles[rng.choice(len(triangles), p=areas / areas.sum())])
         pose = _draw_pose(scene, triangle, rng)
         facing = scene.facing(pose)
-        if facing is not None and (np.abs(facing.first_touch[0]) <= limits).all():
+        if facing is None:
+            continue
+        first, z_mm = facing.first_touch
+        if (np.abs(first) <= limits).all() or -z_mm <= _LAG * options.depth_mm[1]:
             return pose, facing
     raise ConfigError(
         f"no place was found in {_MAX_DRAWS} draws at which the gel first touches the body near its"

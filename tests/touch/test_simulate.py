@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.mesh import Hemisphere, Lathe
+from tactorch.mesh import Box, Hemisphere, Lathe
 from tactorch.mesh.lattice import lattice_mesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import MaterialSpec, Recording
 from tactorch.sensor.description import GelLayer, SensorDescription, load_sensor, save_sensor
 from tactorch.sensor.render import RenderOptions
-from tactorch.touch import Touch, TouchOptions, simulate_touch
+from tactorch.touch import Touch, TouchOptions, TouchScene, simulate_touch
+from tactorch.touch.places import draw_place
 
 NEO_HOOKEAN = MaterialSpec("neo_hookean", 0.45)
 
@@ -184,10 +185,23 @@ def test_body_without_places_is_an_error(sensor_file: Path) -> None:
         simulate_touch(phantom, mesh, None, material=NEO_HOOKEAN, options=options, rng=rng)
 
 
+def test_flat_sides_that_are_wider_than_the_gel_are_pressed(sensor_file: Path) -> None:
+    """A tilted gel touches them at its rim first."""
+    options = TouchOptions(sensor=str(sensor_file), gel_edge_mm=1.8, depth_mm=(0.5, 0.5))
+    box = Phantom(Box((0.0, 0.0, 4.0), (24.0, 24.0, 8.0)), (), 0.2)
+    scene = TouchScene(
+        box, lattice_mesh(box.body, 4.0), NEO_HOOKEAN, options.description(), options
+    )
+    rng = np.random.default_rng(0)
+    firsts = [draw_place(scene, rng)[1].first_touch[0] for _ in range(12)]
+    assert any(np.abs(first / (5.5, 4.5)).max() > 0.5 for first in firsts)
+
+
 def test_places_are_where_the_gel_touches_in_its_middle(
     sensor_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tactorch.touch.places._CENTRAL", 0.0)
+    monkeypatch.setattr("tactorch.touch.places._LAG", -1.0)
     monkeypatch.setattr("tactorch.touch.places._MAX_DRAWS", 3)
     with pytest.raises(ConfigError, match=r"no place was found in 3 draws"):
         touch(sensor_file)
