@@ -18,6 +18,7 @@ NAMES = (
     "recognition_offcentre",
     "recognition_large",
     "warmstart",
+    "touch",
 )
 
 

@@ -23,7 +23,10 @@ _ROOT = Path(__file__).resolve().parents[2]
 #: Pages: title, and the packages (or modules) on it.
 PAGES = {
     "recording": ("Recordings", ["tactorch.loading", "tactorch.recording", "tactorch.importers"]),
-    "simulation": ("Phantoms and simulation", ["tactorch.phantoms", "tactorch.simulation"]),
+    "simulation": (
+        "Phantoms and simulation",
+        ["tactorch.phantoms", "tactorch.simulation", "tactorch.touch"],
+    ),
     "inverse": ("Inversion", ["tactorch.inverse"]),
     "uncertainty": (
         "Uncertainty and active sampling",

@@ -13,7 +13,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 _ROOT = Path(__file__).resolve().parents[2]
-_SCHEMA = "<!-- the docstring of tactorch.recording.schema -->"
+_DOCSTRING = re.compile(r"<!-- the docstring of (tactorch[\w.]+) -->")
 _WORDS = "<!-- words not used -->"
 _CONFIGURATION = "configuration/index.md"
 _EXTERNAL = re.compile(r'<(?:script|link|img|iframe)\b[^>]*(?:src|href)="?(?:https?:)?//[^>]*>')
@@ -40,8 +40,8 @@ def on_files(files: Files, config: MkDocsConfig, **_: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Insert the layout of recordings, examples, and the table of words that are not used."""
-    text = markdown.replace(_SCHEMA, api.docstring("tactorch.recording.schema"))
+    """Insert layouts of files, examples, and the table of words that are not used."""
+    text = _DOCSTRING.sub(lambda match: api.docstring(match[1]), markdown)
     if _WORDS in text:
         text = text.replace(_WORDS, _words_table())
     return _EXAMPLE.sub(lambda match: _example(match[1]), text)

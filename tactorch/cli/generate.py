@@ -2,6 +2,7 @@
 
     tactorch generate                                   150 reconstructions of three shapes
     tactorch generate dataset=warmstart dataset.count=200 out=data/small
+    tactorch generate dataset=touch dataset.count=20   images, markers and forces of a sensor
     tactorch generate dataset=warmstart executor=dask scheduler=tcp://HOST:8786
 
 A run that was stopped or killed continues where it was when the same command is given again.
@@ -28,6 +29,9 @@ class Dataset(Recipe):
     reconstruct: bool | Literal["linear"] = option(
         False, "Invert each recording; linear: the linear image, for a tenth of the time"
     )
+
+    def _check_samples(self) -> None:
+        """Leave checks that read files to the recipe that is made of these settings."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,11 +73,16 @@ def run(options: GenerateOptions) -> SampleSet:
     for index, reason in samples.manifest["failed"].items():
         log.info("sample %s failed: %s", index, reason)
     if options.card:
-        from tactorch.generation.card import PICTURE, card_samples, write_card
+        from tactorch.generation.card import PICTURE, TOUCH_PICTURE, card_samples, write_card
         from tactorch.viz import save_figure
         from tactorch.viz.learning import samples_figure
 
-        save_figure(samples_figure(card_samples(samples)), samples.folder / PICTURE)
+        shown = card_samples(samples)
+        save_figure(samples_figure(shown), samples.folder / PICTURE)
+        if recipe.has_touch:
+            from tactorch.viz.touch import touch_figure
+
+            save_figure(touch_figure(shown), samples.folder / TOUCH_PICTURE)
         log.info("data card: %s", write_card(samples))
     log.info("%d samples: %s", len(samples), out)
     return samples

@@ -16,6 +16,7 @@ from tactorch.errors import ConvergenceError
 from tactorch.fem.assembly import Assembly, Response
 from tactorch.fem.boundary import CaseSupports
 from tactorch.fem.contact import Contact
+from tactorch.fem.contact.pair import PairContact
 from tactorch.fem.linearization import Linearization
 from tactorch.linalg import SolverPool, conjugate_gradients
 from tactorch.linalg.dense import column_rank, dot
@@ -92,7 +93,7 @@ class Newton:
         options: NewtonOptions,
         after: "Newton | None" = None,
         lease: Lease | SharedLease | None = None,
-        contact: Contact | None = None,
+        contact: Contact | PairContact | None = None,
     ) -> None:
         self.assembly, self.pattern = assembly, pool.pattern
         self.youngs, self.forces, self.supports = youngs, forces, supports

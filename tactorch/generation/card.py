@@ -11,8 +11,9 @@ from tactorch.files import write_file
 from tactorch.generation.recipe import LINEAR
 from tactorch.generation.sample import Sample
 from tactorch.generation.sampleset import SampleSet
+from tactorch.generation.touch_card import touch_contents, touch_method, touch_rows
 
-CARD, PICTURE = "card.md", "card.png"
+CARD, PICTURE, TOUCH_PICTURE = "card.md", "card.png", "touch.png"
 _MAX_CARD_SAMPLES = 500
 
 
@@ -32,29 +33,33 @@ def card_samples(samples: SampleSet) -> list[Sample]:
 def _text(samples: SampleSet, selected: Sequence[Sample]) -> str:
     manifest = samples.manifest
     recipe, failed = manifest["recipe"], manifest["failed"]
+    family, has_touch = recipe["family"], "touch" in recipe
     size = sum(shard["bytes"] for shard in manifest["shards"])
     lines = [
         f"# {manifest['name']}",
         "",
         f"{len(samples)} samples in {len(manifest['shards'])} shards, {size / 1e6:.1f} MB;"
         f" {len(failed)} failed. Made by `tactorch generate` from random objects of the"
-        f" family `{recipe['family']}` with seed {recipe['seed']}.",
+        f" family `{family['name'] if isinstance(family, dict) else family}` with seed"
+        f" {recipe['seed']}.",
         "",
         f"![What is inside]({PICTURE})",
+        *((f"![What the sensor sees]({TOUCH_PICTURE})",) if has_touch else ()),
         "",
         "## What is in a sample",
         "",
         "A recording (presses on a mesh, forces in N, displacements in mm) with the true Young's"
         " modulus of each element in MPa" + _second_map(recipe),
+        *(touch_contents(recipe["touch"]) if has_touch else ()),
         "",
         *_statistics(selected),
         "## How it was made",
         "",
-        "Presses are computed on the mesh that they are inverted on, with the same model: an"
-        " inverse crime. Results on these data flatter."
-        if recipe["mesh"]["fine_relative"] is None
-        else "Presses are computed on a finer mesh than the one they are recorded and inverted on,"
-        " and have noise: no inverse crime.",
+        *(
+            touch_method(recipe["touch"], recipe["mesh"]["fine_relative"] is None)
+            if has_touch
+            else [_method(recipe)]
+        ),
         "",
         *(f"- {key}: `{value}`" for key, value in recipe.items() if key != "inversion"),
         "",
@@ -64,6 +69,16 @@ def _text(samples: SampleSet, selected: Sequence[Sample]) -> str:
     if failed:
         lines += ["## Failed", "", *(f"- {i}: {reason}" for i, reason in failed.items()), ""]
     return "\n".join(lines)
+
+
+def _method(recipe: dict[str, Any]) -> str:
+    return (
+        "Presses are computed on the mesh that they are inverted on, with the same model: an"
+        " inverse crime. Results on these data flatter."
+        if recipe["mesh"]["fine_relative"] is None
+        else "Presses are computed on a finer mesh than the one they are recorded and inverted on,"
+        " and have noise: no inverse crime."
+    )
 
 
 def _statistics(selected: Sequence[Sample]) -> list[str]:
@@ -77,6 +92,8 @@ def _statistics(selected: Sequence[Sample]) -> list[str]:
         "highest modulus, MPa": [s.truth.max() for s in selected],
         "largest displacement, mm": [s.largest_mm for s in selected],
     }
+    if all(s.touch is not None for s in selected):
+        rows |= touch_rows([s.touch for s in selected if s.touch is not None])
     figures = [s.figures for s in selected if s.figures]
     for name in ("iterations", "chi2", "ssim", "pearson", "rmse_mpa"):
         if figures and name in figures[0]:

@@ -7,7 +7,7 @@ A dataset is a folder:
 | recipe.json | all settings that determine the samples |
 | shard-00000.h5 ... | samples, about 50 per file; written whole or not at all |
 | manifest.json | written last: recipe, versions, checksums, failed samples |
-| card.md, card.png | summary as text and as a figure |
+| card.md, card.png | summary as text and as a figure; touch.png: what a sensor sees |
 | partial/ | samples of unfinished shards, while generation runs |
 
 In a shard (HDF5, text and arrays as in recordings):
@@ -20,7 +20,31 @@ In a shard (HDF5, text and arrays as in recordings):
 | /samples/000012 `index`, `object`, `label` | attributes |
 | /samples/000012 `facts`, `figures` | attributes, JSON objects |
 | /samples/000012/reconstruction | float64 (m,), MPa; absent where none was made |
+| /samples/000012/touch | images and forces of a sensor, see below; absent without one |
 | /meshes/HASH | points and tets that samples of this mesh share |
+
+In `touch`, of k presses, an image of h rows and w columns, p markers and g nodes of the gel's face:
+
+| path | type | unit |
+|---|---|---|
+| images | uint8 (k, h, w, 3): red, green, blue | |
+| reference | uint8 (h, w, 3), image without contact | |
+| height_mm | float32 (k, h, w), z of the gel's face relative to rest; may be absent | mm |
+| markers_px | float32 (k, p, 2), column and row of each marker | px |
+| rest_markers_px | float32 (p, 2), the same without contact | px |
+| marker_visible | uint8 (k, p), 1 for markers in the image | |
+| gel_points | float32 (g, 3), nodes of the gel's face at rest, sensor frame | mm |
+| gel_displacement | float32 (k, g, 3), sensor frame | mm |
+| gel_forces | float32 (k, g, 3), of the body on the gel, sensor frame | N |
+| poses | float32 (k, 4, 4), T_object_sensor | mm |
+| first_poses | float32 (k, 4, 4), T_object_sensor at first touch | mm |
+| place | int64 (k,), number of the pressed place | |
+| mm_per_px | float32 (2,), size of a pixel along x and y | mm |
+
+In the image, integers of column and row are at the centres of pixels. The sensor frame has its
+origin at the centre of the gel's face at rest, x along columns, y along rows, z toward the body.
+The forces of press i on the body are in `presses/000i/forces`: their sum is minus that of
+`gel_forces`, turned by the rotation of `poses`.
 """
 
 import io
@@ -31,6 +55,7 @@ from typing import TYPE_CHECKING, Any
 
 from tactorch.errors import FileError
 from tactorch.generation.sample import Sample
+from tactorch.generation.touch_storage import write_touch
 from tactorch.hdf5 import hdf5_image, write_array, write_attributes, write_hdf5
 from tactorch.recording.storage import write_recording
 
@@ -63,6 +88,8 @@ def to_bytes(sample: Sample) -> bytes:
         write_attributes(file, index=sample.index, object=sample.object, **texts)
         if sample.reconstruction is not None:
             write_array(file, "reconstruction", sample.reconstruction)
+        if sample.touch is not None:
+            write_touch(file.create_group("touch"), sample.touch)
 
     return hdf5_image(write)
 

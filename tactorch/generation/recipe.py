@@ -1,8 +1,9 @@
 """Recipe of a dataset: all settings that determine its samples."""
 
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import product
+from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -12,12 +13,17 @@ from tactorch.config import Options, option, to_mapping
 from tactorch.errors import ConfigError
 from tactorch.fem import ELEMENTS, make_material
 from tactorch.inverse import Settings
-from tactorch.mesh import TetMesh
+from tactorch.mesh import BodyFile, Box, Shape, TetMesh
+from tactorch.mesh.geometry import bounding_diagonal
+from tactorch.mesh.lattice import lattice_mesh
 from tactorch.mesh.tetmesh import FaceName
 from tactorch.phantoms import Phantom, RandomPhantom
-from tactorch.phantoms.families import check_ranges
+from tactorch.phantoms.draws import check_ranges
 from tactorch.recording import MaterialSpec
 from tactorch.simulation import PressPlan
+from tactorch.touch.gel import GelPart
+from tactorch.touch.options import TouchOptions
+from tactorch.touch.scene import check_material
 
 LINEAR = "linear"
 Range = tuple[float, float]
@@ -95,16 +101,38 @@ class MeshSizes(Options):
         0.05, "The same of the mesh to simulate on; null: the same mesh, an inverse crime", gt=0
     )
 
-    def meshes(self, phantom: Phantom) -> tuple[TetMesh, TetMesh | None]:
-        """Return the recording's mesh and the finer one; structured: the same every time.
+    def meshes(
+        self, phantom: Phantom, *, any_shape: bool = False
+    ) -> tuple[TetMesh, TetMesh | None]:
+        """Return the recording's mesh and the simulation's; they are the same every time.
+
+        Args:
+            phantom: The body.
+            any_shape: Whether bodies that are no boxes are meshed, by a lattice.
 
         Raises:
             ConfigError: The body is no box.
+            MeshError: The elements are larger than parts of the body.
         """
-        mesh = partial(phantom.mesh, generator="structured")
+        if any_shape and not isinstance(phantom.body, Box):
+            mesh = partial(_lattice, phantom)
+        else:
+            mesh = partial(phantom.mesh, generator="structured")
         fine = self.fine_relative
         coarse_mesh = mesh(relative_edge_length=self.relative_edge_length)
         return coarse_mesh, None if fine is None else mesh(relative_edge_length=fine)
+
+
+def _lattice(phantom: Phantom, relative_edge_length: float) -> TetMesh:
+    body = phantom.body
+    stamp = Path(body.path).stat().st_mtime_ns if isinstance(body, BodyFile) else 0
+    return _lattice_of(body, relative_edge_length * bounding_diagonal(body.bounds()), stamp)
+
+
+@lru_cache(maxsize=4)
+def _lattice_of(body: Shape, edge_length_mm: float, stamp: int) -> TetMesh:
+    """Mesh a body; that of a file, which takes seconds, is the same in all samples."""
+    return lattice_mesh(body, edge_length_mm)
 
 
 @dataclass(frozen=True)
@@ -123,6 +151,9 @@ class Recipe(Options):
     seed: int = option(0, "Seed of all random draws", ge=0)
     views: int = option(1, "Recordings of each object, with their own presses and noise", ge=1)
     presses: PressDraw = option(factory=PressDraw, help="Distribution of the presses")
+    touch: TouchOptions = option(
+        factory=TouchOptions, help="Sensor that is pressed on the bodies, in place of presses"
+    )
     mesh: MeshSizes = option(factory=MeshSizes, help="Sizes of the elements")
     poisson: Range | None = option(
         None, "Range of Poisson's ratio; null: that of the material", ge=0, lt=0.5
@@ -147,9 +178,31 @@ class Recipe(Options):
             )
         if self.element not in ELEMENTS:
             raise ConfigError(f"element={self.element!r}: choose one of {', '.join(ELEMENTS)}.")
-        # Refuse what no sample could be made of.
+        self._check_samples()
+
+    def _check_samples(self) -> None:
+        """Refuse what no sample could be made of, and files that cannot be read."""
         make_material(self.material.name, self.material.poisson, **self.material.parameters)
-        self.mesh.meshes(self.drawn(0).phantom)
+        if self.has_touch:
+            self._check_touch()
+        self.meshes(self.drawn(0).phantom)
+
+    @property
+    def has_touch(self) -> bool:
+        """Whether a sensor is pressed on the bodies, and its images are stored."""
+        return self.touch.sensor is not None
+
+    def _check_touch(self) -> None:
+        sensor = self.touch.description()
+        check_material(self.material, sensor)
+        try:
+            GelPart.of(sensor.gel, self.touch.gel_edge_mm, self.touch.gel_layers)
+        except ConfigError as error:
+            raise ConfigError(f"dataset.touch.gel_edge_mm: {error}") from error
+
+    def meshes(self, phantom: Phantom) -> tuple[TetMesh, TetMesh | None]:
+        """Return the mesh of the recording of a body, and that of the simulation."""
+        return self.mesh.meshes(phantom, any_shape=self.has_touch)
 
     def drawn(self, index: int) -> RandomPhantom:
         """Draw the object of a sample."""
@@ -176,4 +229,11 @@ class Recipe(Options):
     def to_config(self) -> dict[str, Any]:
         """Return all that determines the samples as plain values, to compare recipes by."""
         names = ("material", "element", "inversion")  # which a dataset's settings do not have
-        return to_mapping(self) | {name: to_mapping(getattr(self, name)) for name in names}
+        config = to_mapping(self) | {name: to_mapping(getattr(self, name)) for name in names}
+        if not self.has_touch:
+            config.pop("touch")  # as in datasets that were made before there was touch
+        else:
+            config["touch"]["description"] = to_mapping(self.touch.description())
+        if hasattr(self.family, "content_hash"):
+            config["family"]["sha256"] = self.family.content_hash()
+        return config

@@ -10,8 +10,10 @@ from tactorch.generation.recipe import Recipe
 from tactorch.inverse import invert
 from tactorch.inverse.linear_image import linear_map
 from tactorch.metrics import scores
-from tactorch.recording import Recording
+from tactorch.phantoms import Phantom
+from tactorch.recording import MaterialSpec, Recording
 from tactorch.simulation import simulate
+from tactorch.touch import Touch, simulate_touch
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +28,7 @@ class Sample:
         recording: Presses, with the truth per element.
         reconstruction: Moduli reconstructed from the presses, (m,), MPa; None where none was made.
         figures: Iterations, chi2 and scores of the reconstruction against the truth.
+        touch: Images, markers and forces of the sensor in each press; None without a sensor.
     """
 
     index: int
@@ -35,6 +38,7 @@ class Sample:
     recording: Recording
     reconstruction: Float[np.ndarray, " m"] | None = None
     figures: dict[str, float] | None = None
+    touch: Touch | None = None
 
     @property
     def truth(self) -> Float[np.ndarray, " m"]:
@@ -58,19 +62,20 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
     drawn = recipe.drawn(index)
     rng = np.random.default_rng([recipe.seed, 1, index])
     snr_db = None if recipe.snr_db is None else float(rng.uniform(*recipe.snr_db))
-    mesh, fine = recipe.mesh.meshes(drawn.phantom)
-    median = float(np.median(drawn.phantom.on_mesh(mesh, samples=recipe.samples)))
-    recording = simulate(
-        drawn.phantom,
-        recipe.presses.draw(rng, drawn.phantom.body.bounds(), median),
-        material=recipe.material_of(index),
-        mesh=mesh,
-        fine_mesh=fine,
-        samples=recipe.samples,
-        element=recipe.element,
-        snr_db=snr_db,
-        seed=int(rng.integers(2**31)),
-    )
+    touch = None
+    if recipe.has_touch:
+        recording, touch = simulate_touch(
+            drawn.phantom,
+            *recipe.meshes(drawn.phantom),
+            material=recipe.material_of(index),
+            options=recipe.touch,
+            rng=rng,
+            samples=recipe.samples,
+            snr_db=snr_db,
+        )
+    else:
+        recording = _pressed(recipe, drawn.phantom, recipe.material_of(index), snr_db, rng)
+    mesh = recording.mesh
     youngs, figures = None, None
     if recipe.inversion is not None:
         assert recording.truth is not None
@@ -84,4 +89,27 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
             figures["chi2"] = float(result.history[-1]["chi2"])
         figures |= {k: float(v) for k, v in scores(mesh, youngs, recording.truth).items()}
     number = index // recipe.views
-    return Sample(index, number, drawn.label, drawn.parameters, recording, youngs, figures)
+    return Sample(index, number, drawn.label, drawn.parameters, recording, youngs, figures, touch)
+
+
+def _pressed(
+    recipe: Recipe,
+    phantom: Phantom,
+    material: MaterialSpec,
+    snr_db: float | None,
+    rng: np.random.Generator,
+) -> Recording:
+    """Return the recording of presses by pressures."""
+    mesh, fine = recipe.meshes(phantom)
+    median = float(np.median(phantom.on_mesh(mesh, samples=recipe.samples)))
+    return simulate(
+        phantom,
+        recipe.presses.draw(rng, phantom.body.bounds(), median),
+        material=material,
+        mesh=mesh,
+        fine_mesh=fine,
+        samples=recipe.samples,
+        element=recipe.element,
+        snr_db=snr_db,
+        seed=int(rng.integers(2**31)),
+    )

@@ -23,6 +23,7 @@ from tactorch.generation.layout import (
     sample_name,
 )
 from tactorch.generation.sample import Sample
+from tactorch.generation.touch_storage import read_touch
 from tactorch.hdf5 import Hdf5Reader
 from tactorch.mesh import TetMesh
 from tactorch.recording import Recording
@@ -128,6 +129,7 @@ class SampleSet:
                 Recording(**reader.fields(), check_units=False),
                 _reconstruction(reader),
                 json.loads(reader.attribute("/", "figures", str)),
+                read_touch(reader),
             )
 
     def maps(self, index: int) -> SampleMaps:

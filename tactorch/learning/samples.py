@@ -13,10 +13,15 @@ from torch.utils.data import Dataset
 from tactorch.errors import ConfigError
 from tactorch.generation import Sample, SampleSet
 from tactorch.mesh import TetMesh, VoxelGrid
+from tactorch.touch import Touch
 
 Item = dict[str, Any]
 #: Masks of `collate_touch`, and a tensor whose first dimension each describes.
 MASKS = {"node_mask": "points", "element_mask": "tets", "press_mask": "forces"}
+_TOUCH_NUMBERS = (
+    "markers_px", "rest_markers_px", "gel_points", "gel_displacement", "gel_forces", "poses",
+    "first_poses", "mm_per_px",
+)  # fmt: skip
 
 
 class TouchDataset(Dataset[Item]):
@@ -38,6 +43,27 @@ class TouchDataset(Dataset[Item]):
     | `reconstruction` | (m,) | reconstructed modulus, MPa; where the dataset has it |
     | `voxel_youngs` | (v, v, v) | true modulus at the voxels of the bounding box, MPa; 0 outside |
     | `voxel_inside` | (v, v, v) | whether the centre of a voxel is inside the body |
+
+    Samples with a tactile sensor (`tactorch generate dataset=touch`) have, of images of h rows and
+    w columns, p markers and g nodes of the gel's face:
+
+    | key | shape | value |
+    |---|---|---|
+    | `images` | (k, 3, h, w) | red, green and blue, uint8 |
+    | `reference` | (3, h, w) | image without contact, uint8 |
+    | `height_mm` | (k, h, w) | z of the gel's face relative to rest; where the dataset has it |
+    | `markers_px`, `rest_markers_px` | (k, p, 2), (p, 2) | column and row of the markers |
+    | `marker_visible` | (k, p) | whether a marker is in the image |
+    | `gel_points` | (g, 3) | nodes of the gel's face at rest, mm |
+    | `gel_displacement` | (k, g, 3) | their displacement, mm |
+    | `gel_forces` | (k, g, 3) | forces of the body on them, N |
+    | `gel_force` | (k, 3) | their sum, N |
+    | `poses`, `first_poses` | (k, 4, 4) | T_object_sensor, and the same at first touch, mm |
+    | `place` | (k,) | number of the pressed place |
+    | `mm_per_px` | (2,) | size of a pixel along x and y, mm |
+
+    The gel is in the sensor frame, whose z axis points to the body. `points` and `forces` are in
+    the frame of the object: `forces.sum(1)` is minus `gel_force`, turned by `poses[:, :3, :3]`.
 
     Floating-point numbers are float32. `collate_touch` makes batches of different meshes.
     Split datasets by `object`: presses of one object are alike.
@@ -99,6 +125,8 @@ class TouchDataset(Dataset[Item]):
         }
         if sample.reconstruction is not None:
             item["reconstruction"] = _floats(sample.reconstruction)
+        if sample.touch is not None:
+            item |= _touch_fields(sample.touch)
         if self._voxels is not None:
             item |= self._voxel_fields(mesh, sample.truth)
         return item
@@ -116,7 +144,8 @@ def collate_touch(items: Sequence[Item]) -> Item:
     """Return a batch of samples of `TouchDataset`, for `torch.utils.data.DataLoader`.
 
     Tensors get a first dimension for the samples. Where their shapes differ, they are filled up
-    with zeros; `node_mask` (samples, nodes), `element_mask` and `press_mask` tell the real entries.
+    with zeros; `node_mask` (samples, nodes), `element_mask` and `press_mask` tell the real entries
+    (`marker_visible` is false for presses that were filled up).
     Strings are lists. A key that not all samples have is left out.
     """
     keys = [key for key in items[0] if all(key in item for item in items)]
@@ -125,6 +154,18 @@ def collate_touch(items: Sequence[Item]) -> Item:
         counts = torch.tensor([len(item[key]) for item in items])
         batch[mask] = torch.arange(int(counts.max())) < counts[:, None]
     return batch
+
+
+def _touch_fields(touch: Touch) -> Item:
+    item = {
+        "images": torch.from_numpy(touch.images).movedim(-1, 1).contiguous(),
+        "reference": torch.from_numpy(touch.reference).movedim(-1, 0).contiguous(),
+        "marker_visible": torch.from_numpy(touch.marker_visible),
+        "gel_force": _floats(touch.total_force),
+        "place": torch.from_numpy(touch.place),
+    }
+    item |= {name: _floats(getattr(touch, name)) for name in _TOUCH_NUMBERS}
+    return item if touch.height_mm is None else {**item, "height_mm": _floats(touch.height_mm)}
 
 
 def _stacked(values: list[Any]) -> Any:

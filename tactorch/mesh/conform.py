@@ -30,11 +30,11 @@ class ClosedSurface:
 
     Attributes:
         level: Function of points (k, 3), mm: zero on the surface, negative inside.
-        volume_mm3: Volume inside.
+        volume_mm3: Volume inside, to which the faces are moved; None for nodes on the surface.
     """
 
     level: Callable[[Float[np.ndarray, "k 3"]], Float[np.ndarray, " k"]]
-    volume_mm3: float
+    volume_mm3: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,7 @@ class _State:
     def with_volume(self, surface: ClosedSurface) -> "_State":
         """Move the last surface along its normals to its volume, where no element crosses it."""
         side = _side(surface, self.values[-1], self.points, self.tets)
-        if not (side < 0).any() or (side == 0).any():
+        if surface.volume_mm3 is None or not (side < 0).any() or (side == 0).any():
             return self
         match = match_faces(self.tets, len(self.points))
         first, second = match.pairs.T

@@ -2,6 +2,7 @@
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 
 from tactorch.mesh import BodyFile, Hyperboloid, Lathe, Shape, Union
 from tactorch.mesh.quadrature import lattice
@@ -11,6 +12,7 @@ _SEGMENTS = 72
 _COARSE_SEGMENTS = 24
 _MAX_EDGE_STEPS = 7  # of points along an edge of a triangle, for bodies that are not convex
 _MIN_STEPS_ACROSS = 20  # of the shape's extent
+_STRIDES = (64, 8, 1)  # of points whose distances are computed first, and then
 
 
 def protrusion(shape: Shape, body: Shape) -> float:
@@ -20,7 +22,28 @@ def protrusion(shape: Shape, body: Shape) -> float:
     bodies that are not convex, the whole surface of the shape is sampled.
     """
     steps = _MAX_EDGE_STEPS if isinstance(body, Hyperboloid | Lathe | BodyFile) else 1
-    return float(body.signed_distance(_surface_points(shape, _SEGMENTS, steps)).max())
+    points = _surface_points(shape, _SEGMENTS, steps)
+    if isinstance(body, BodyFile):
+        return _largest_distance(body, points)
+    return float(body.signed_distance(points).max())
+
+
+def _largest_distance(body: Shape, points: Float[np.ndarray, "p 3"]) -> float:
+    """Return the largest signed distance of points, most of which need not be computed.
+
+    A distance differs from that of another point by no more than the distance of both points.
+    """
+    largest = -np.inf
+    for stride in _STRIDES:
+        known = points[::stride]
+        distances = body.signed_distance(known)
+        largest = max(largest, float(distances.max()))
+        if stride > 1:
+            apart, nearest = cKDTree(known).query(points)
+            points = points[distances[nearest] + apart > largest]
+            if not len(points):
+                break
+    return largest
 
 
 def clearance(shape: Shape, other: Shape) -> float:

@@ -63,6 +63,48 @@ def test_wrong_settings_of_generate(
     assert all(word in done.err for word in words), done.err
 
 
+TOUCH = (
+    "dataset=touch", "dataset.count=1", "dataset.family.width_mm=[10,12]",
+    "dataset.family.count=[0,0]", "dataset.touch.presses=[1,1]", "dataset.touch.gel_edge_mm=2.6",
+    "dataset.touch.image_width_px=40", "dataset.mesh.relative_edge_length=0.14",
+    "dataset.mesh.fine_relative=0.18", "dataset.samples=1", "workers=1",
+)  # fmt: skip
+
+
+def test_generate_writes_touches_with_their_pictures(tactorch: Any, tmp_path: Path) -> None:
+    done = tactorch("generate", *TOUCH, f"out={tmp_path / 'touch'}")
+    assert done.status == 0, done.err
+    card = (tmp_path / "touch" / "card.md").read_text()
+    assert "For each press of the sensor `gelsight_markers`" in card
+    assert "![What the sensor sees](touch.png)" in card
+    assert (tmp_path / "touch" / "touch.png").stat().st_size > 10_000
+    other = tactorch("generate", *TOUCH, "dataset.touch.friction=none", f"out={tmp_path / 'touch'}")
+    assert other.status == 2
+    assert "touch.friction is 'stick' there and 'none' here" in other.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("dataset.touch.sensor=fingr",), ("fingr", "finger, gelsight_markers")),
+        (("dataset.touch.presses=[0,1]",), ("dataset.touch.presses", "at least 1")),
+        (("dataset.touch.depth=1",), ("dataset.touch.depth", "dataset.touch.depth_mm")),
+        (("dataset.touch.friction=glue",), ("dataset.touch.friction='glue'", "stick")),
+        (("dataset.family.name=cats",), ("dataset.family=cats is unknown", "bodies, file")),
+        (("dataset.family={name: file}",), ("family.file is required",)),
+        (("dataset.family={name: file, file: no.stl}",), ("no.stl",)),
+        (("material=linear",), ("material=linear", "gel of the sensor")),
+    ],
+)
+def test_wrong_settings_of_touch(
+    tactorch: Any, tmp_path: Path, arguments: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    done = tactorch("generate", "dataset=touch", f"out={tmp_path / 'x'}", *arguments)
+    assert done.status == 2
+    assert len(done.err.splitlines()) == 1, done.err
+    assert all(word in done.err for word in words), done.err
+
+
 @pytest.mark.slow
 def test_train_learns_and_resumes(tactorch: Any, folder: Path, tmp_path: Path) -> None:
     """Two epochs and two more are four; the curve has them all."""

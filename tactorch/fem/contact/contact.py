@@ -25,12 +25,12 @@ from tactorch.fem.elements import Discretisation
 #: hundredth of the depth to which a flat punch of the size of an element would be pressed.
 RELATIVE_STIFFNESS = 200.0
 _MIN_COSINE = 0.3  # between the approach and the normals at points within the probe
-# Six points and weights of the triangle, exact to degree four (Strang and Fix, 1973).
+#: Six points and weights of the triangle, exact to degree four (Strang and Fix, 1973).
 _A, _B = 0.445948490915965, 0.091576213509771
-_POINTS = np.array([
+TRIANGLE_POINTS = np.array([
     [1 - 2 * c if i == k else c for i in range(3)] for c in (_A, _B) for k in range(3)
 ])  # fmt: skip
-_WEIGHTS = np.repeat([0.223381589678011, 0.109951743655322], 3)
+TRIANGLE_WEIGHTS = np.repeat([0.223381589678011, 0.109951743655322], 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,12 +142,12 @@ class Contact:
     @cached_property
     def shape(self) -> Float[np.ndarray, "points k"]:
         """Values of the shape functions at the points of a triangle."""
-        return self.discretisation.surface_values(_POINTS)
+        return self.discretisation.surface_values(TRIANGLE_POINTS)
 
     @cached_property
     def weights(self) -> Float[np.ndarray, "triangles points"]:
         """Rest area of each point, mm^2."""
-        return self.discretisation.mesh.surface.areas[self.surface][:, None] * _WEIGHTS
+        return self.discretisation.mesh.surface.areas[self.surface][:, None] * TRIANGLE_WEIGHTS
 
     @cached_property
     def _rest(self) -> Float[np.ndarray, "triangles k 3"]:

@@ -1,0 +1,115 @@
+"""Points of the gel's face and the points of a body that are opposite to them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from tactorch.fem import ELEMENTS
+from tactorch.fem.contact.contact import TRIANGLE_POINTS, TRIANGLE_WEIGHTS
+from tactorch.fem.contact.pair import CoupledDiscretisation, Pairs
+from tactorch.fem.elements import Discretisation
+from tactorch.mesh import Shape, TetMesh
+from tactorch.sensor.poses import Pose, transform_points
+from tactorch.touch.gel import GelPart
+from tactorch.touch.parts import PartsMesh
+from tactorch.touch.rays import first_hits, shape_heights
+
+#: Element of gel and body: linear ones of an almost incompressible gel are too stiff.
+ELEMENT = "tet10"
+
+
+@dataclass(frozen=True, eq=False)
+class Facing:
+    """A gel and a body in front of it; p pairs of points.
+
+    Attributes:
+        mesh: The body, then the gel, in the sensor frame, mm.
+        points: Points of the gel's face at rest, (p, 3), mm.
+        gaps_mm: Distance of the surface of the shape from each along z, in the pose.
+        areas_mm2: Area of the gel's face that each point stands for.
+        nodes: Nodes of body and gel from which both points of each pair are interpolated.
+        values: Their shape functions, negative for the gel.
+        faces: Triangle of the body's surface of each pair, among those of the body's mesh.
+        barycentric: Place in this triangle.
+    """
+
+    mesh: PartsMesh
+    points: Float[np.ndarray, "p 3"]
+    gaps_mm: Float[np.ndarray, " p"]
+    areas_mm2: Float[np.ndarray, " p"]
+    nodes: Int[np.ndarray, "p k"]
+    values: Float[np.ndarray, "p k"]
+    faces: Int[np.ndarray, " p"]
+    barycentric: Float[np.ndarray, "p 3"]
+
+    @property
+    def first_touch(self) -> tuple[Float[np.ndarray, "2"], float]:
+        """Position (x, y) of the first touch, and the motion along z until then, mm."""
+        first = int(self.gaps_mm.argmin())
+        return self.points[first, :2], float(self.gaps_mm[first])
+
+    def pairs(self, reach_mm: float) -> tuple[Pairs, Bool[np.ndarray, " p"]]:
+        """Return pairs of up to this distance from each other at first touch, and which they are.
+
+        Gaps are those at first touch.
+        """
+        gaps = self.gaps_mm - self.gaps_mm.min()
+        near = gaps <= reach_mm
+        coupled = CoupledDiscretisation(self.mesh, ELEMENTS[ELEMENT], self.nodes[near])
+        return Pairs(coupled, self.values[near], gaps[near], self.areas_mm2[near]), near
+
+
+def face_each_other(body: TetMesh, shape: Shape, gel: GelPart, pose: Pose) -> Facing | None:
+    """Pair the points of a gel with those of a body opposite to them; None where there are none.
+
+    Distances are those of the shape itself, whose surface the mesh follows within its elements.
+
+    Args:
+        body: Mesh of the body, mm.
+        shape: The body.
+        gel: The gel.
+        pose: T_object_sensor.
+    """
+    moved = transform_points(np.linalg.inv(pose), body.points)
+    mesh = PartsMesh.of(moved, body.tets, gel.mesh)
+    face, shift = gel.mesh.surface, body.n_points
+    outer = np.asarray(np.isin(face.triangles, gel.face).all(axis=1))
+    triangles, areas = face.triangles[outer], face.areas[outer]
+    count = len(TRIANGLE_POINTS)
+    points = np.einsum("pc,tcd->tpd", TRIANGLE_POINTS, gel.mesh.points[triangles]).reshape(-1, 3)
+    # Elements have straight sides; the gaps are those of the face itself.
+    points[:, 2] = gel.layer.height_mm(points[:, :2])
+    hits = first_hits(moved, body.surface.triangles, points[:, :2])
+    heights = shape_heights(shape, pose, points[:, :2])
+    rows = np.flatnonzero((hits.triangles >= 0) & np.isfinite(heights))
+    if not len(rows):
+        return None
+    nodes, values = _interpolation(
+        mesh, body.surface.triangles[hits.triangles[rows]], hits.barycentric[rows],
+        triangles[rows // count] + shift, TRIANGLE_POINTS[rows % count],
+    )  # fmt: skip
+    return Facing(
+        mesh,
+        points[rows],
+        heights[rows] - points[rows, 2],
+        areas[rows // count] * TRIANGLE_WEIGHTS[rows % count],
+        nodes,
+        values,
+        hits.triangles[rows],
+        hits.barycentric[rows],
+    )
+
+
+def _interpolation(
+    mesh: TetMesh,
+    first: Int[np.ndarray, "p 3"],
+    at_first: Float[np.ndarray, "p 3"],
+    second: Int[np.ndarray, "p 3"],
+    at_second: Float[np.ndarray, "p 3"],
+) -> tuple[Int[np.ndarray, "p c"], Float[np.ndarray, "p c"]]:
+    """Nodes of pairs of triangles, and shape functions at their points, negative for the second."""
+    parts = Discretisation(mesh, ELEMENTS[ELEMENT])
+    nodes = np.hstack([parts.surface_nodes(first), parts.surface_nodes(second)])
+    values = np.hstack([parts.surface_values(at_first), -parts.surface_values(at_second)])
+    return nodes, values

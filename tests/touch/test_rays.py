@@ -1,0 +1,43 @@
+"""First points of surfaces along an axis."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactorch.mesh import BodyFile, Box, Hemisphere, Shape, write_surface
+from tactorch.touch.rays import first_hits, shape_heights
+
+FROM_ABOVE = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@pytest.mark.parametrize("shape", [Hemisphere((0.0, 0.0, 0.0), 6.0), Box((0.0, 0.0, 3.0), 6.0)])
+def test_heights_are_those_of_the_shape(shape: Shape) -> None:
+    rays = np.array([(0.0, 0.0), (1.0, -2.0), (2.9, 0.3), (8.0, 0.0)])
+    heights = shape_heights(shape, FROM_ABOVE, rays)
+    if isinstance(shape, Box):
+        expected = np.array([-6.0, -6.0, -6.0, np.inf])
+    else:
+        expected = -np.sqrt(np.maximum(36.0 - (rays**2).sum(axis=1), 0.0))
+        expected[-1] = np.inf
+    np.testing.assert_allclose(heights, expected, atol=1e-6)
+
+
+def test_lowest_of_two_sheets_is_seen_and_back_sides_are_not() -> None:
+    sheet = np.array([(-1.0, -1.0), (1.0, -1.0), (0.0, 2.0)])
+    points = np.concatenate([np.column_stack([sheet, np.full(3, z)]) for z in (1.0, 2.0, 0.0)])
+    triangles = np.array([(0, 2, 1), (3, 5, 4), (6, 7, 8)])  # the last one faces +z
+    hits = first_hits(points, triangles, np.array([(0.0, 0.0), (5.0, 5.0)]))
+    assert hits.triangles.tolist() == [0, -1]
+    assert hits.z_mm.tolist() == [1.0, np.inf]
+    np.testing.assert_allclose(hits.barycentric[0] @ points[triangles[0]], (0, 0, 1), atol=1e-12)
+
+
+def test_bodies_of_files_are_their_triangles(tmp_path: Path) -> None:
+    path = tmp_path / "dome.stl"
+    write_surface(path, *Hemisphere((0.0, 0.0, 0.0), 6.0).surface(24))
+    rays = np.array([(0.1, 0.2), (2.0, 1.0)])
+    exact = shape_heights(Hemisphere((0.0, 0.0, 0.0), 6.0), FROM_ABOVE, rays)
+    found = shape_heights(BodyFile(str(path)), FROM_ABOVE, rays)
+    assert (found >= exact - 1e-5).all()  # the polyhedron is inside the hemisphere
+    np.testing.assert_allclose(found, exact, atol=0.1)
