@@ -3,7 +3,7 @@
     python story_page.py PAGE.md REPORT.json
 
 Commands are run by a shell that stops at the first error; Python blocks share one namespace. The
-report has lines, seconds and output of each block. It needs the standard library only, so that any
+report has lines, times and output of each block. It needs the standard library only, so that any
 environment can run it.
 """
 
@@ -29,6 +29,7 @@ class Block:
         language: `sh` or `python`.
         text: The code.
         seconds: How long it took.
+        processor_s: Processor seconds of it and of the programs that it started.
         output: What it printed.
         error: Why it failed; empty if it did not.
     """
@@ -36,6 +37,7 @@ class Block:
     language: str
     text: str
     seconds: float = 0.0
+    processor_s: float = 0.0
     output: str = ""
     error: str = ""
 
@@ -54,12 +56,13 @@ def run(blocks: list[Block]) -> bool:
     """Run blocks in the present folder until one fails; tell whether none did."""
     names: dict[str, object] = {"__name__": "__main__"}
     for block in blocks:
-        started = time.perf_counter()
+        started, spent = time.perf_counter(), sum(os.times()[:4])
         if block.language == "sh":
             _run_commands(block)
         else:
             _run_python(block, names)
         block.seconds = time.perf_counter() - started
+        block.processor_s = sum(os.times()[:4]) - spent
         if block.error:
             return False
     return True

@@ -11,7 +11,7 @@ the inversion, which the story makes from the surface alone. The files are
     indenter.csv   position, displacement and force of each mark, with noise
     truth.json     what is inside, which the story does not read
 
-Displacements have noise of 0.02 mm, the forces of each press a common error of 1 %. Files that are
+Displacements have noise of 0.06 mm, the forces of each press a common error of 1 %. Files that are
 there are kept.
 """
 
@@ -28,12 +28,12 @@ from tactorch.fem import Supports
 from tactorch.mesh import BodyFile, Sphere, TetMesh, box_mesh, select_face
 
 SIZE_MM = (30.0, 24.0, 18.0)
-CENTER_MM, RADIUS_MM = (19.0, 10.0, 11.0), 4.0
-TISSUE_MPA, BALL_MPA, POISSON = 0.02, 0.12, 0.45
+CENTER_MM, RADIUS_MM = (18.0, 11.0, 12.0), 4.5
+TISSUE_MPA, BALL_MPA, POISSON = 0.02, 0.2, 0.45
 PRESSURES_MPA = {"z+": 0.002, "x+": 0.0007, "y+": 0.0007}
-NOISE_MM, FORCE_ERROR = 0.02, 0.01
+NOISE_MM, FORCE_ERROR = 0.06, 0.01
 EDGE_MM = 2.6  # of the mesh of the simulation
-COLUMNS = "press x_mm y_mm z_mm ux_mm uy_mm uz_mm fx_n fy_n fz_n".split()
+COLUMNS = ["press", "x_mm", "y_mm", "z_mm", "ux_mm", "uy_mm", "uz_mm", "fx_n", "fy_n", "fz_n"]
 
 
 def main() -> None:
