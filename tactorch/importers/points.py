@@ -1,5 +1,6 @@
 """Presses from displacements and forces at points: nodes, or any points of the surface."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,12 +17,15 @@ from tactorch.fem import MATERIALS
 from tactorch.importers.loads import consistent_loads, pressure_loads
 from tactorch.mesh import TetMesh
 from tactorch.mesh.closest import Closest, closest_points
+from tactorch.mesh.sharp_edges import distance_from_sharp_edges
 from tactorch.mesh.tetmesh import FaceName
 from tactorch.recording import MaterialSpec, Press, Recording, SurfaceReading
 
+_log = logging.getLogger(__name__)
 _SAME_NODE = 1e-4  # distance of a point from a node that it is, over the diagonal
 _MAX_DISTANCE = 0.02  # of a point from the surface, over the diagonal
 _UNIT = 0.2  # of the length of a unit normal, which rounding and averaging change
+_AT_EDGE = 1e-4  # distance of a point from an edge that it is on, over the diagonal
 _SIDE = 1e-3  # distance of supported nodes from a side, over the diagonal
 
 
@@ -177,6 +181,7 @@ class PointData:
             (nodes < 0)[:, None], surface.normals[closest.triangles], at_nodes[nodes]
         )
         given = np.isfinite(self.normals).all(axis=1)
+        self._warn_at_edges(mesh, nodes, closest, given)
         lengths = np.linalg.norm(self.normals, axis=1)
         wrong = given & ~(np.abs(lengths - 1.0) < _UNIT)
         if wrong.any():
@@ -186,6 +191,27 @@ class PointData:
             )
         normals = np.where(given[:, None], self.normals, normals)
         return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+
+    def _warn_at_edges(
+        self,
+        mesh: TetMesh,
+        nodes: Int[np.ndarray, " k"],
+        closest: Closest,
+        given: Bool[np.ndarray, " k"],
+    ) -> None:
+        """Warn of values along a normal at sharp edges of the mesh, where it is not unique."""
+        along = np.nan_to_num(self.pressure) * np.nan_to_num(self.areas) != 0.0
+        rows = np.flatnonzero((along | np.isfinite(self.along_normal)) & ~given)
+        if not len(rows):
+            return
+        places = np.where((nodes >= 0)[:, None], mesh.points[nodes], closest.points)[rows]
+        at_edge = rows[distance_from_sharp_edges(mesh)(places) < _AT_EDGE * mesh.diagonal]
+        if len(at_edge):
+            _log.warning(
+                "%s and %d other points have a pressure or displacement along the normal at a sharp"
+                " edge of the mesh, where the normal is not unique; give nx, ny and nz, or forces.",
+                self.where(int(at_edge[0])), len(at_edge) - 1,
+            )  # fmt: skip
 
 
 def _press(given: PointData, mesh: TetMesh, options: PointOptions) -> Press:

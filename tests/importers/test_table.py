@@ -101,7 +101,11 @@ def test_a_given_normal_and_noise_are_used(tmp_path: Path, body: Path) -> None:
 
 
 def test_tractions_and_pressure_are_consistent_loads(
-    tmp_path: Path, body: Path, rows: Columns, simulated: Recording
+    tmp_path: Path,
+    body: Path,
+    rows: Columns,
+    simulated: Recording,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     top = rows["z_mm"] > 9.99
     pressed = without(rows, "fx_n", "fy_n", "fz_n") | {
@@ -114,9 +118,18 @@ def test_tractions_and_pressure_are_consistent_loads(
     np.testing.assert_allclose(second.forces, simulated.presses[1].forces, atol=1e-12)
     area = {"area_cm2": np.where(top, 0.25, np.nan), "p_kpa": np.where(top, 10.0, np.nan)}
     by_area = without(rows, "fx_n", "fy_n", "fz_n") | area
+    assert "sharp edge" not in caplog.text
     press = import_table(write_rows(tmp_path / "b.csv", by_area), mesh=body).presses[0]
+    assert "other points have a pressure" in caplog.text
+    assert "give nx, ny and nz, or forces" in caplog.text
     at_top = press.forces[simulated.mesh.points[:, 2] > 9.99]
     np.testing.assert_allclose(np.linalg.norm(at_top, axis=1), 0.25)
+    caplog.clear()
+    up = {"nx": 0.0 * top, "ny": 0.0 * top, "nz": 1.0 + 0.0 * top}
+    press = import_table(write_rows(tmp_path / "c.csv", by_area | up), mesh=body).presses[0]
+    assert "sharp edge" not in caplog.text
+    at_top = press.forces[simulated.mesh.points[:, 2] > 9.99]
+    np.testing.assert_allclose(at_top, np.tile((0.0, 0.0, -0.25), (len(at_top), 1)), atol=1e-12)
 
 
 def test_consistent_loads_sum_to_traction_times_area(simulated: Recording) -> None:
