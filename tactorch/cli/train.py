@@ -34,7 +34,10 @@ _STATE = ("*.ckpt", "split-*/*.ckpt", "scores.json", "split.json", "split-*/spli
 
 
 class TrainingPictures(lightning.Callback):
-    """Logs pictures of the predictions on the validation part, every few epochs and at the end."""
+    """Logs pictures of the predictions on the validation part, every few epochs and at the end.
+
+    Without a validation part they are those of the test part, after training.
+    """
 
     def __init__(self, data: Any, every: int) -> None:
         self._data, self._every = data, every
@@ -44,12 +47,23 @@ class TrainingPictures(lightning.Callback):
     ) -> None:
         """Draw and log the pictures, if the logger takes any."""
         epoch, last = trainer.current_epoch + 1, trainer.current_epoch + 1 == trainer.max_epochs
-        if not self._every or not (last or epoch % self._every == 0) or not trainer.logger:
+        if self._every and (last or epoch % self._every == 0):
+            self._draw(trainer, module, "val")
+
+    def on_test_epoch_end(
+        self, trainer: lightning.Trainer, module: lightning.LightningModule
+    ) -> None:
+        """Draw and log the pictures of the test part, where there is no validation part."""
+        if self._every and not self._data.parts["val"]:
+            self._draw(trainer, module, "test")
+
+    def _draw(
+        self, trainer: lightning.Trainer, module: lightning.LightningModule, part: str
+    ) -> None:
+        if not (trainer.is_global_zero and trainer.logger and self._data.parts[part]):
             return
-        if not trainer.is_global_zero or not self._data.parts["val"]:
-            return
-        for name, figure in figures_of(Split(module, self._data, "val")).items():
-            if not log_figure(trainer.logger, f"val/{name}", figure, trainer.global_step):
+        for name, figure in figures_of(Split(module, self._data, part)).items():
+            if not log_figure(trainer.logger, f"{part}/{name}", figure, trainer.global_step):
                 return
 
 

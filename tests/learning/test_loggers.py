@@ -2,6 +2,7 @@
 
 import csv
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -94,3 +95,20 @@ def test_mlflow_gets_figures(figure: Any) -> None:
     logger: Any = MLFlowLogger()
     assert log_figure(logger, "val/examples", figure, 7)
     assert logger.logged == ("run", "val_examples-000007.png")
+
+
+@pytest.mark.parametrize(("val", "logged"), [((), ["test/confusion"]), ((3,), [])])
+def test_pictures_are_of_the_test_part_where_there_is_no_validation(
+    val: tuple[int, ...], logged: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tactorch.cli import train
+
+    drawn: list[str] = []
+    monkeypatch.setattr(train, "figures_of", lambda split: {"confusion": split.part})
+    monkeypatch.setattr(train, "log_figure", lambda logger, name, *_: drawn.append(name) or True)
+    data = SimpleNamespace(parts={"train": (0,), "val": val, "test": (1, 2)})
+    trainer = SimpleNamespace(is_global_zero=True, logger=True, global_step=3)
+    train.TrainingPictures(data, 1).on_test_epoch_end(trainer, None)
+    assert drawn == logged
+    train.TrainingPictures(data, 0).on_test_epoch_end(trainer, None)
+    assert drawn == logged
