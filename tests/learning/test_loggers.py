@@ -5,7 +5,9 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import lightning
 import pytest
+from lightning.pytorch.loggers import CSVLogger
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from tactorch.errors import ConfigError
@@ -99,7 +101,7 @@ def test_mlflow_gets_figures(figure: Any) -> None:
 
 @pytest.mark.parametrize(("val", "logged"), [((), ["test/confusion"]), ((3,), [])])
 def test_pictures_are_of_the_test_part_where_there_is_no_validation(
-    val: tuple[int, ...], logged: list[str], monkeypatch: pytest.MonkeyPatch
+    val: tuple[int, ...], logged: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     from tactorch.cli import train
 
@@ -107,8 +109,11 @@ def test_pictures_are_of_the_test_part_where_there_is_no_validation(
     monkeypatch.setattr(train, "figures_of", lambda split: {"confusion": split.part})
     monkeypatch.setattr(train, "log_figure", lambda logger, name, *_: drawn.append(name) or True)
     data = SimpleNamespace(parts={"train": (0,), "val": val, "test": (1, 2)})
-    trainer = SimpleNamespace(is_global_zero=True, logger=True, global_step=3)
-    train.TrainingPictures(data, 1).on_test_epoch_end(trainer, None)
+    trainer = lightning.Trainer(
+        accelerator="cpu", logger=CSVLogger(tmp_path), enable_checkpointing=False
+    )
+    module = lightning.LightningModule()
+    train.TrainingPictures(data, 1).on_test_epoch_end(trainer, module)
     assert drawn == logged
-    train.TrainingPictures(data, 0).on_test_epoch_end(trainer, None)
+    train.TrainingPictures(data, 0).on_test_epoch_end(trainer, module)
     assert drawn == logged
