@@ -30,7 +30,7 @@ from machine import OtherWork, write_results
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "docs" / "stories"
-STORIES = ("roboticist", "learner")
+STORIES = ("roboticist", "anatomist", "learner")
 MAX_LINES, MAX_SECONDS = 40, 300.0  # what a story takes is less
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "lightning", "pypardiso", "mkl")
 # Of a wheel's environment, not of this one.

@@ -32,7 +32,7 @@ def name_of(path: Path) -> str:
 
 
 def test_there_are_stories() -> None:
-    assert {page.stem for page in PAGES} == {"roboticist", "learner"}
+    assert {page.stem for page in PAGES} == {"roboticist", "anatomist", "learner"}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
@@ -92,7 +92,7 @@ def test_a_story_runs(page: Path, tmp_path: Path) -> None:
     subprocess.run(command, cwd=folder, check=False, timeout=1200)
     told = json.loads(report.read_text())
     assert told["passed"], [block["error"] for block in told["blocks"]]
-    check = {"roboticist": check_lump, "learner": check_learner}
+    check = {"roboticist": check_lump, "anatomist": check_lump, "learner": check_learner}
     check[page.stem](folder, "".join(block["output"] for block in told["blocks"]))
 
 
