@@ -29,7 +29,7 @@ from tactorch.fem.indentation import BallPlace, Indentation
 from tactorch.mesh import BodyFile, Sphere, box_mesh
 
 SIZE_MM = (36.0, 30.0, 16.0)
-CENTER_MM, RADIUS_MM = (21.0, 13.0, 10.5), 4.0
+CENTER_MM, RADIUS_MM = (21.0, 13.0, 10.0), 4.5
 TISSUE_MPA, BALL_MPA, POISSON = 0.02, 0.2, 0.45
 INDENTER_MM = 3.0
 X_MM, Y_MM = np.arange(6.0, 31.0, 3.0), np.arange(5.0, 26.0, 3.0)

@@ -150,7 +150,8 @@ class RunReport:
             parts = "credibility and uncertainty"
         else:
             return ""
-        return f"Omitted: {parts} ({self.missing})."
+        reason = self.missing.rstrip(".")
+        return f"Omitted: {parts} ({reason})."
 
     @property
     def limitations(self) -> list[str]:
