@@ -56,6 +56,7 @@ def test_a_story_has_output_picture_and_time(page: Path) -> None:
     told = json.loads((ROOT / "benchmarks" / "results" / "stories.json").read_text())
     story = told["stories"][page.stem]
     assert story["passed"]
+    assert not any("output" in block for block in story["blocks"])  # which names folders
     assert story["seconds"] < 300.0
     assert f"{story['seconds']:.0f} s on two cores" in " ".join(text.split())
     assert story["lines"] == sum(
