@@ -2,7 +2,7 @@
 
     python benchmarks/true_objects.py [--set open|held_out|empty|random|all] [--only NAME...]
         [--method default|map|shapes] [--settings KEY=VALUE...] [--check] [--cache FOLDER]
-        [--refined FACTOR] [--out FOLDER] [--workers N]
+        [--refined FACTOR] [--seeds N] [--out FOLDER] [--workers N]
 
 Each case is an object (balls of several depths, sizes and contrasts, a cone, an ellipsoid, two
 balls close together, a lump in layers, a dome and a breast with a lesion, bodies without
@@ -13,10 +13,11 @@ outline alone. Settings are the same for all cases.
 
 The map is compared with the analytic object on 36^3 voxels of the bounding box, those outside the
 body excluded. Half of the cases are held out, to be run once with `--set held_out`; `--set empty`
-has forty bodies without inclusion, and `--set random` fifty balls and ellipsoids, for the coverage
-of intervals. `--check` refines each truth mesh once more and compares the
-change of the displacements with the noise. `--refined` bisects the recording's mesh before a method
-gets it, down to its mean edge length times the factor. Noise-free recordings are cached.
+has forty bodies without inclusion, and `--set random` a hundred balls and ellipsoids, for the
+coverage of intervals. `--seeds` repeats each case with other noise. `--check` refines each truth
+mesh once more and compares the change of the displacements with the noise. `--refined` bisects the
+recording's mesh before a method gets it, down to its mean edge length times the factor. Noise-free
+recordings are cached.
 
 The last line printed is one JSON object.
 """
@@ -27,7 +28,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,7 @@ MAX_CHANGE = 0.1  # of the noise, by refinement of the truth mesh
 EXTREME = 0.003  # fraction of the body beyond the level of a lump
 MIN_LOG_CONTRAST = np.log(1.02)  # of a segmented lump
 MIN_VOXELS = 10  # of a segmented lump
+_SEED_STEP = 10_000  # between noise realisations of a case, beyond the seeds of all cases
 FieldAt = Callable[[np.ndarray], np.ndarray]  # points (k, 3), mm -> values (k,)
 
 
@@ -203,18 +205,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--refined", type=float, metavar="FACTOR", help="edge length over the recording's"
     )
+    parser.add_argument("--seeds", type=int, default=1, help="noise realisations of each case")
     parser.add_argument("--check", action="store_true", help="check the truth meshes instead")
     parser.add_argument("--list", action="store_true", help="list the cases and stop")
     parser.add_argument("--workers", type=int, default=1, help="number of processes")
     parser.add_argument("--cache", type=Path, help="folder of the noise-free recordings")
     parser.add_argument("--out", type=Path, help="folder for true_objects[_SET].json and .md")
     options = parser.parse_args(arguments)
-    cases = choose_cases(options.set, options.only)
+    cases = with_seeds(choose_cases(options.set, options.only), options.seeds)
     if options.list:
         print("\n".join(case.name for case in cases))
         return
     if options.check:
-        check(cases, options.cache)
+        check(cases, options.cache, options.out)
         return
     settings = Settings.from_mapping(parse_settings(options.settings))
     method, meter, results, lines = METHODS[options.method], OtherWork(), {}, [_HEADER]
@@ -241,6 +244,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "refined": options.refined,
         "set": options.set,
         "only": options.only,
+        "seeds": options.seeds,
         "workers": options.workers,
         "other_work": load,
     }
@@ -264,6 +268,11 @@ def choose_cases(chosen_set: str, only: Sequence[str] | None) -> list[Case]:
     return [
         case for case in CASES if chosen_set == "all" or case.held_out == (chosen_set == "held_out")
     ]
+
+
+def with_seeds(cases: Sequence[Case], count: int) -> list[Case]:
+    """Return each case with its own seed of the noise and `count - 1` others."""
+    return [replace(case, seed=case.seed + _SEED_STEP * k) for case in cases for k in range(count)]
 
 
 def parse_settings(assignments: Sequence[str]) -> dict[str, Any]:
@@ -569,12 +578,13 @@ def _list(medians: Mapping[str, Any]) -> str:
     return ", ".join(f"{key} {_format(value)}" for key, value in medians.items())
 
 
-def check(cases: Sequence[Case], cache: Path | None) -> None:
+def check(cases: Sequence[Case], cache: Path | None, out: Path | None) -> None:
     """Refine the truth mesh of each case once more; print the change relative to the noise."""
     columns = ("case", "elements", "refined", "change / signal", "change / noise", "")
-    print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
+    lines = [f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}"]
+    print(lines[0])
     changes: dict[Any, dict[str, Any]] = {}
-    report = {}
+    report: dict[str, Any] = {}
     try:
         for case in cases:
             if case.solution not in changes:
@@ -583,13 +593,15 @@ def check(cases: Sequence[Case], cache: Path | None) -> None:
             ratio = change["change"] * 10.0 ** (case.snr_db / 20.0)
             report[case.name] = {**change, "over_noise": ratio, "fine": ratio < MAX_CHANGE}
             verdict = "" if ratio < MAX_CHANGE else "above a tenth"
-            print(
+            lines.append(
                 f"| {case.name} | {change['elements']} | {change['refined_elements']} |"
-                f" {change['change']:.2e} | {ratio:.3f} | {verdict} |",
-                flush=True,
+                f" {change['change']:.2e} | {ratio:.3f} | {verdict} |"
             )
+            print(lines[-1], flush=True)
     except (KeyboardInterrupt, BrokenProcessPool):  # the latter where a worker is killed
         print("Interrupted; the result has the cases up to here.", file=sys.stderr)
+    if out is not None:
+        write_results(out, "true_objects_check", lines, {"cases": report}, PACKAGES)
     print(json.dumps({"cases": report}))
 
 

@@ -322,3 +322,12 @@ def test_half_of_the_cases_are_held_out(benchmark: ModuleType) -> None:
     assert len({case.object for case in cases}) >= 10
     assert len(benchmark.choose_cases("empty", None)) == 40
     assert all(not case.body.lumps for case in benchmark.choose_cases("empty", None))
+
+
+def test_seeds_repeat_each_case_with_other_noise(benchmark: ModuleType) -> None:
+    every = benchmark.choose_cases("all", None) + benchmark.choose_cases("random", None)
+    repeated = benchmark.with_seeds(every, 3)
+    assert repeated[::3] == every
+    assert len({case.name for case in repeated}) == 3 * len(every)
+    assert repeated[1].solution == every[0].solution
+    assert repeated[1].seed != every[0].seed
