@@ -4,37 +4,17 @@ Lengths in mm, moduli in MPa; positions and sizes of inclusions in sides of the 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 
 from tactorch.config import Options, Registry, option
 from tactorch.mesh import Cone, Shape, Torus
 from tactorch.phantoms.cubes import cube_body, two_tiers
-from tactorch.phantoms.draws import (
-    BackgroundName,
-    InclusionName,
-    Proposal,
-    Range,
-    Rng,
-    check_ranges,
-    draw_background,
-    draw_contrast,
-    draw_inclusions,
-    draw_inside,
-    log_uniform,
-)
+from tactorch.phantoms.draws import Proposal, Range, Rng, check_ranges, draw_inside
 from tactorch.phantoms.phantom import Phantom
-
-
-@dataclass(frozen=True)
-class RandomPhantom:
-    """Random phantom, its class for recognition and its random parameters as plain values."""
-
-    phantom: Phantom
-    label: str
-    parameters: dict[str, Any] = field(default_factory=dict)
+from tactorch.phantoms.random_body import RandomBody, RandomPhantom
 
 
 @dataclass(frozen=True)
@@ -77,58 +57,25 @@ class RecognitionFamily(Options):
         return RandomPhantom(Phantom(body, [(shape, hard)], soft), name, parameters)
 
 
-@dataclass(frozen=True)
-class InclusionsFamily(Options):
+@dataclass(frozen=True, kw_only=True)
+class InclusionsFamily(RandomBody):
     """Cubes with several inclusions of random shape, pose and stiffness in a random background."""
 
-    section = "family"
     count: tuple[int, int] = option((1, 3), "Range of the number of inclusions", ge=0)
-    shapes: tuple[InclusionName, ...] = option(
-        get_args(InclusionName), "Shapes of the inclusions; repeat a name to make it more likely",
-        nonempty=True,
-    )  # fmt: skip
     side_mm: float = option(10.0, "Side of the cube", unit="mm", gt=0)
     size: Range = option((0.12, 0.28), "Range of the inclusions' half-widths, in sides", gt=0)
     youngs_mpa: Range = option(
         (0.1, 0.4), "Range of the background's median modulus, log-uniform", unit="MPa", gt=0
     )
-    contrast: Range = option(
-        (0.2, 8.0), "Range of the ratio of an inclusion's modulus to the background's, log-uniform;"
-        " ratios within a quarter of 1 are excluded", gt=0,
-    )  # fmt: skip
-    backgrounds: tuple[BackgroundName, ...] = option(
-        ("uniform", "uniform", "gradient", "random"),
-        "Backgrounds; repeat a name to make it more likely", nonempty=True,
-    )  # fmt: skip
     gap: float = option(0.03, "Minimum distance between inclusions, in sides", ge=0)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_ranges(self, "count", "size", "youngs_mpa", "contrast")
-
     def draw(self, rng: Rng) -> RandomPhantom:
-        """Draw a phantom; inclusions without room are left out."""
-        side, body = self.side_mm, cube_body(self.side_mm)
-        youngs = log_uniform(rng, self.youngs_mpa)
-        count = int(rng.integers(self.count[0], self.count[1] + 1))
-        names = [str(rng.choice(self.shapes)) for _ in range(count)]
+        """Draw a phantom; inclusions without room are left out.
 
-        def place() -> tuple[np.ndarray, float]:
-            half = float(rng.uniform(*self.size)) * side
-            low = min(half, 0.5 * side)
-            return rng.uniform(low, side - low, 3), half
-
-        def modulus() -> float:
-            return youngs * draw_contrast(rng, self.contrast)
-
-        gap_mm = self.gap * side
-        inclusions, parts = draw_inclusions(rng, body, names, place, modulus, gap_mm)
-        background = str(rng.choice(self.backgrounds))
-        middle = np.full(3, side / 2)
-        field = draw_background(rng, background, youngs, side, middle)
-        phantom = Phantom(body, inclusions, field)
-        parameters = {"background": background, "youngs_mpa": youngs, "parts": parts}
-        return RandomPhantom(phantom, str(len(inclusions)), parameters)
+        Raises:
+            ConfigError: No inclusion fits; make `size` or `count` smaller.
+        """
+        return self._filled(rng, cube_body(self.side_mm), {})
 
 
 FAMILIES = Registry(
