@@ -24,6 +24,7 @@ from tactorch.inverse.shapes.model import (
     EDGE_DEVIATION,
     FORCE_DEVIATIONS,
     MIN_POSE_DEVIATION,
+    PLACE_DEVIATIONS,
     RIM_DEVIATIONS,
     Errors,
     Model,
@@ -31,6 +32,7 @@ from tactorch.inverse.shapes.model import (
     Trial,
     falls_short,
 )
+from tactorch.inverse.shapes.places import place_patterns
 from tactorch.inverse.shapes.poses import probe_patterns
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
 from tactorch.inverse.shapes.rims import rim_patterns
@@ -116,6 +118,7 @@ class ShapeProblem:
         self.prior = ShapePrior.of(recording.mesh, youngs)
         self._force_patterns: np.ndarray | None = None
         self._rim_patterns: np.ndarray | None = None
+        self._place_patterns: np.ndarray | None = None
         self._press_patterns: np.ndarray | None = None
         self._noisy: dict[Errors, DataModel] = {}
         self._last: tuple[ShapeFit, Evaluation] | None = None
@@ -128,6 +131,11 @@ class ShapeProblem:
     def has_rims(self) -> bool:
         """Whether the traction of a contact is uncertain where it ends."""
         return self._correction is not None and bool(self._correction.uncertain)
+
+    @property
+    def has_places(self) -> bool:
+        """Whether the place of a contact may be another one than that of its forces."""
+        return self._correction is not None and bool(self._correction.movable)
 
     def uniform(self) -> Model:
         """Fit the uniform body with quadratic elements."""
@@ -162,13 +170,17 @@ class ShapeProblem:
         return self.corrected(model) if has_contacts else model
 
     def _linearise_errors(self, evaluation: Evaluation) -> None:
-        """Compute the patterns of the correlated errors of the presses about an evaluation."""
+        """Compute the patterns of correlated errors and of those of places about an evaluation."""
         recording = self.quadratic.recording
+        evaluation = evaluation.with_data(self.quadratic.data)
         if has_errors(recording):
-            self._press_patterns = error_patterns(
-                evaluation.with_data(self.quadratic.data), recording
-            )
-            self._noisy.clear()
+            self._press_patterns = error_patterns(evaluation, recording)
+        if self._correction is not None and self.has_places:
+            self._place_patterns = place_patterns(
+                recording, evaluation, self._correction.movable,
+                _MIN_FORCE_ERROR / PLACE_DEVIATIONS[-1],
+            )  # fmt: skip
+        self._noisy.clear()
 
     def continued(self, result: ShapeReconstruction | ShapeState) -> Start:
         """Return the model of a search on other presses of the same object."""
@@ -176,7 +188,9 @@ class ShapeProblem:
         z = field.standard(result.field.physical(result.z))
         pose = max(result.pose_deviation, self.least_errors.pose)
         rims = max(result.rim_deviation, self.least_errors.rims) if self.has_rims else 0.0
-        return Start("the model before", field, z, Errors(result.force_deviation, pose, rims))
+        places = result.place_deviation if self.has_places else 0.0
+        errors = Errors(result.force_deviation, pose, rims, places)
+        return Start("the model before", field, z, errors)
 
     def fit(
         self,
@@ -269,7 +283,7 @@ class ShapeProblem:
         """
         self._check()
         assert self._correction is not None
-        before = self.quadratic, self._correction_mm, self._press_patterns
+        before = self.quadratic, self._correction_mm, self._press_patterns, self._place_patterns
         try:
             offsets = self._correction.offsets(model.fit, model.evaluation, self._check)
             self._linearise_errors(model.evaluation)
@@ -282,7 +296,9 @@ class ShapeProblem:
             self._corrected_at = model.fit
             return corrected
         except (ConfigError, ConvergenceError) as error:
-            self.quadratic, self._correction_mm, self._press_patterns = before
+            (
+                self.quadratic, self._correction_mm, self._press_patterns, self._place_patterns
+            ) = before  # fmt: skip
             self._noisy.clear()
             _log.warning("The error of the discretisation is not corrected: %s", error)
             return model
@@ -395,6 +411,9 @@ class ShapeProblem:
         if errors.rims:
             assert self._rim_patterns is not None
             data = data.with_errors(errors.rims * self._rim_patterns)
+        if errors.places:
+            assert self._place_patterns is not None
+            data = data.with_errors(errors.places * self._place_patterns)
         return data
 
     def _correction_patterns(self) -> Float[np.ndarray, "data contacts"]:
