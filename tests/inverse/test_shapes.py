@@ -541,7 +541,6 @@ def test_whole_sides_are_corrected_at_sharp_edges_and_inclusions(recording):
 
 def test_the_posterior_of_a_ball_is_that_of_an_ellipsoid(recording):
     presses = ShapeProblem(recording, Settings())
-    presses._force_patterns = None
     field = ShapeField(presses.prior, (False,))
     values = np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.5), np.log(5.0)])
     problem = presses.quadratic.with_data(presses.data(Errors(0.0, 0.002)))

@@ -16,6 +16,7 @@ from tactorch.inverse.press_errors import error_patterns, has_errors
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.correction import Correction
+from tactorch.inverse.shapes.error_patterns import ErrorPatterns
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.kept import KeptRims
@@ -116,16 +117,12 @@ class ShapeProblem:
         youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
         self.matched = MatchedFilter.of(self.linear, youngs)
         self.prior = ShapePrior.of(recording.mesh, youngs)
-        self._force_patterns: np.ndarray | None = None
-        self._rim_patterns: np.ndarray | None = None
-        self._place_patterns: np.ndarray | None = None
-        self._press_patterns: np.ndarray | None = None
         self._noisy: dict[Errors, DataModel] = {}
         self._last: tuple[ShapeFit, Evaluation] | None = None
         self._floored = noise.floored(recording)
         observations = self.quadratic.data.observations
         self._rigid_patterns = rigid_patterns(recording.mesh.points, observations, contacts)
-        self._pose_patterns = self._rigid_patterns
+        self._patterns = ErrorPatterns(self._rigid_patterns)
 
     @property
     def has_rims(self) -> bool:
@@ -150,10 +147,12 @@ class ShapeProblem:
         extend, field = self.quadratic.body.discretisation.extend, start.field
         youngs = ShapesOnSites(field, self._linear_sites).at(start.z).youngs
         coarse = self.linear.evaluate(youngs)
-        self._force_patterns = coarse.force_patterns(_MIN_FORCE_ERROR / FORCE_DEVIATIONS[-1])
+        forces = coarse.force_patterns(_MIN_FORCE_ERROR / FORCE_DEVIATIONS[-1])
+        pose = self._rigid_patterns
         if self.quadratic.recording.has_probes:
             probes = probe_patterns(self.quadratic.recording, coarse)
-            self._pose_patterns = np.hstack([self._rigid_patterns, probes])
+            pose = np.hstack([pose, probes])
+        self._patterns = ErrorPatterns(pose, forces)
         displacements = [extend(u) for u in coarse.displacements]
         has_contacts = self._correction is not None and self._correction.has_contacts
         if not has_contacts and not has_errors(self.quadratic.recording):
@@ -162,24 +161,27 @@ class ShapeProblem:
         evaluation = self.quadratic.evaluate(youngs, starts=displacements)
         self._linearise_errors(evaluation)
         if self._correction is not None and self.has_rims:
-            self._rim_patterns = rim_patterns(
+            rims = rim_patterns(
                 self.quadratic.recording, evaluation, self._correction.uncertain,
                 _MIN_FORCE_ERROR / RIM_DEVIATIONS[-1], self._kept,
             )  # fmt: skip
+            self._patterns = replace(self._patterns, rims=rims)
         model = self.fit(start, evaluation.displacements)
         return self.corrected(model) if has_contacts else model
 
     def _linearise_errors(self, evaluation: Evaluation) -> None:
         """Compute the patterns of correlated errors and of those of places about an evaluation."""
         recording = self.quadratic.recording
-        evaluation = evaluation.with_data(self.quadratic.data)
+        evaluation, patterns = evaluation.with_data(self.quadratic.data), self._patterns
         if has_errors(recording):
-            self._press_patterns = error_patterns(evaluation, recording)
+            patterns = replace(patterns, stated=error_patterns(evaluation, recording))
         if self._correction is not None and self.has_places:
-            self._place_patterns = place_patterns(
+            places = place_patterns(
                 recording, evaluation, self._correction.movable,
                 _MIN_FORCE_ERROR / PLACE_DEVIATIONS[-1],
             )  # fmt: skip
+            patterns = replace(patterns, places=places)
+        self._patterns = patterns
         self._noisy.clear()
 
     def continued(self, result: ShapeReconstruction | ShapeState) -> Start:
@@ -283,7 +285,7 @@ class ShapeProblem:
         """
         self._check()
         assert self._correction is not None
-        before = self.quadratic, self._correction_mm, self._press_patterns, self._place_patterns
+        before = self.quadratic, self._correction_mm, self._patterns
         try:
             offsets = self._correction.offsets(model.fit, model.evaluation, self._check)
             self._linearise_errors(model.evaluation)
@@ -296,9 +298,7 @@ class ShapeProblem:
             self._corrected_at = model.fit
             return corrected
         except (ConfigError, ConvergenceError) as error:
-            (
-                self.quadratic, self._correction_mm, self._press_patterns, self._place_patterns
-            ) = before  # fmt: skip
+            self.quadratic, self._correction_mm, self._patterns = before
             self._noisy.clear()
             _log.warning("The error of the discretisation is not corrected: %s", error)
             return model
@@ -401,20 +401,7 @@ class ShapeProblem:
         data = self.quadratic.data
         if self._correction is not None:
             data = data.with_errors(_CORRECTION_DEVIATION * self._correction_patterns())
-        if self._press_patterns is not None:
-            data = data.with_errors(self._press_patterns)
-        if errors.pose:
-            data = data.with_errors(errors.pose * self._pose_patterns)
-        if errors.forces:
-            assert self._force_patterns is not None
-            data = data.with_errors(errors.forces * self._force_patterns)
-        if errors.rims:
-            assert self._rim_patterns is not None
-            data = data.with_errors(errors.rims * self._rim_patterns)
-        if errors.places:
-            assert self._place_patterns is not None
-            data = data.with_errors(errors.places * self._place_patterns)
-        return data
+        return self._patterns.added_to(data, errors)
 
     def _correction_patterns(self) -> Float[np.ndarray, "data contacts"]:
         """Return the corrections of each contact, in standard deviations of the white noise."""
