@@ -62,12 +62,6 @@ def _notes(recording: Recording, result: ShapeReconstruction) -> tuple[str, ...]
             f"about {result.pose_deviation:.0%} of the displacements; the intervals of the lumps "
             "account for it. Check the supports and the pose of the sensor."
         )
-    if result.place_deviation:
-        notes.append(
-            "The contacts are beside their reported places, by about "
-            f"{result.place_deviation:.0%} of their radius; the intervals of the lumps account for "
-            "it. Check the pose of the sensor."
-        )
     return tuple(notes)
 
 

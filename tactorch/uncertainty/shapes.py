@@ -317,10 +317,8 @@ def _predict(problem: ShapeProblem, result: ShapeReconstruction) -> Evaluation:
     Raises:
         ConvergenceError: a press has no equilibrium, on the mesh or on the finer ones.
     """
-    errors = Errors(
-        result.force_deviation, result.pose_deviation, result.rim_deviation, result.place_deviation
-    )
-    if errors.forces or errors.rims or errors.places:
+    errors = Errors(result.force_deviation, result.pose_deviation, result.rim_deviation)
+    if errors.forces or errors.rims:
         problem.uniform()  # whose predictions give the effects of errors of the forces
     quadratic = problem.quadratic.with_data(problem.data(errors))
     field, z = result.posterior.field, result.posterior.z

@@ -168,15 +168,6 @@ class Correction:
                 found.append((numbers, rim))
         return tuple(found)
 
-    @cached_property
-    def movable(self) -> tuple[tuple[tuple[int, ...], Rim], ...]:
-        """Presses of each contact that ends within a face, and its rim.
-
-        Contacts of probes are left out: their forces follow from their places.
-        """
-        pairs = ((numbers, rim) for numbers, rim in self.contacts if rim is not None)
-        return tuple((numbers, rim) for numbers, rim in pairs if not rim.of_probe)
-
     @property
     def has_singular_ends(self) -> bool:
         """Whether the contact of a sensor ends at an edge of the body."""

@@ -20,14 +20,12 @@ class ErrorPatterns:
         pose: Rigid motions of contacts, and motions of probes.
         forces: Errors of the forces of each press.
         rims: Errors of the traction at the rims of contacts.
-        places: Errors of the places of contacts.
         stated: Correlated errors that the presses state, of their own deviation.
     """
 
     pose: Float[np.ndarray, "data pose"]
     forces: Float[np.ndarray, "data forces"] | None = None
     rims: Float[np.ndarray, "data rims"] | None = None
-    places: Float[np.ndarray, "data places"] | None = None
     stated: Float[np.ndarray, "data stated"] | None = None
 
     def added_to(self, data: DataModel, errors: Errors) -> DataModel:
@@ -38,7 +36,6 @@ class ErrorPatterns:
             (errors.pose, self.pose),
             (errors.forces, self.forces),
             (errors.rims, self.rims),
-            (errors.places, self.places),
         )
         for deviation, patterns in levels:
             if deviation:

@@ -19,7 +19,6 @@ FORCE_DEVIATIONS = (0.02, 0.05, 0.1)
 MIN_POSE_DEVIATION = 0.001  # that of the discretisation after its correction
 _POSE_DEVIATIONS = (0.002, 0.01, 0.05)
 RIM_DEVIATIONS = (0.1, 0.2, 0.5)
-PLACE_DEVIATIONS = (0.03, 0.1, 0.3)
 # That of a gel that does not slip at an edge of the body, where the traction is singular: by the
 # nodal forces of a wider gel on a uniform cube, of edges of an eighth of its side, the most
 # probable deviation is 0.2 to 0.5.
@@ -40,11 +39,8 @@ class Errors(NamedTuple):
     forces: float  # of the forces of each press
     pose: float  # of rigid motions at each place, over the observed displacements
     rims: float = 0.0  # of the traction at the edges of a contact's rim, over the mean traction
-    places: float = 0.0  # of the place of each contact along the surface, over its radius
 
-    def others(
-        self, least: "Errors", has_rims: bool, has_places: bool = False
-    ) -> Iterator[tuple[str, "Errors"]]:
+    def others(self, least: "Errors", has_rims: bool) -> Iterator[tuple[str, "Errors"]]:
         """Yield errors that differ in one respect, at least these, with their descriptions."""
         for level in (least.forces, *FORCE_DEVIATIONS):
             if level != self.forces:
@@ -55,9 +51,6 @@ class Errors(NamedTuple):
         for level in (least.rims, *RIM_DEVIATIONS) if has_rims else ():
             if level not in (self.rims, *(r for r in RIM_DEVIATIONS if r < least.rims)):
                 yield f"tractions at rims wrong by {level:.0%}", self._replace(rims=level)
-        for level in (least.places, *PLACE_DEVIATIONS) if has_places else ():
-            if level != self.places:
-                yield f"contacts misplaced by {level:.0%}", self._replace(places=level)
 
 
 @dataclass(frozen=True, eq=False)

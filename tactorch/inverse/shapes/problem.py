@@ -25,7 +25,6 @@ from tactorch.inverse.shapes.model import (
     EDGE_DEVIATION,
     FORCE_DEVIATIONS,
     MIN_POSE_DEVIATION,
-    PLACE_DEVIATIONS,
     RIM_DEVIATIONS,
     Errors,
     Model,
@@ -33,7 +32,6 @@ from tactorch.inverse.shapes.model import (
     Trial,
     falls_short,
 )
-from tactorch.inverse.shapes.places import place_patterns
 from tactorch.inverse.shapes.poses import probe_patterns
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
 from tactorch.inverse.shapes.rims import rim_patterns
@@ -129,11 +127,6 @@ class ShapeProblem:
         """Whether the traction of a contact is uncertain where it ends."""
         return self._correction is not None and bool(self._correction.uncertain)
 
-    @property
-    def has_places(self) -> bool:
-        """Whether the place of a contact may be another one than that of its forces."""
-        return self._correction is not None and bool(self._correction.movable)
-
     def uniform(self) -> Model:
         """Fit the uniform body with quadratic elements."""
         return self.first(Start("uniform", ShapeField(self.prior), np.zeros(1), self.least_errors))
@@ -170,19 +163,12 @@ class ShapeProblem:
         return self.corrected(model) if has_contacts else model
 
     def _linearise_errors(self, evaluation: Evaluation) -> None:
-        """Compute the patterns of correlated errors and of those of places about an evaluation."""
+        """Compute the patterns of the correlated errors of the presses about an evaluation."""
         recording = self.quadratic.recording
-        evaluation, patterns = evaluation.with_data(self.quadratic.data), self._patterns
         if has_errors(recording):
-            patterns = replace(patterns, stated=error_patterns(evaluation, recording))
-        if self._correction is not None and self.has_places:
-            places = place_patterns(
-                recording, evaluation, self._correction.movable,
-                _MIN_FORCE_ERROR / PLACE_DEVIATIONS[-1],
-            )  # fmt: skip
-            patterns = replace(patterns, places=places)
-        self._patterns = patterns
-        self._noisy.clear()
+            stated = error_patterns(evaluation.with_data(self.quadratic.data), recording)
+            self._patterns = replace(self._patterns, stated=stated)
+            self._noisy.clear()
 
     def continued(self, result: ShapeReconstruction | ShapeState) -> Start:
         """Return the model of a search on other presses of the same object."""
@@ -190,9 +176,7 @@ class ShapeProblem:
         z = field.standard(result.field.physical(result.z))
         pose = max(result.pose_deviation, self.least_errors.pose)
         rims = max(result.rim_deviation, self.least_errors.rims) if self.has_rims else 0.0
-        places = result.place_deviation if self.has_places else 0.0
-        errors = Errors(result.force_deviation, pose, rims, places)
-        return Start("the model before", field, z, errors)
+        return Start("the model before", field, z, Errors(result.force_deviation, pose, rims))
 
     def fit(
         self,

@@ -93,7 +93,6 @@ class ShapeState(NamedTuple):
     force_deviation: float
     pose_deviation: float
     rim_deviation: float
-    place_deviation: float = 0.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -117,8 +116,6 @@ class ShapeReconstruction(Displayed):
         unexplained: Root mean square of the residuals beyond their noise and the recognised errors
             of forces and poses, over that of the observed displacements.
         history: The accepted models with their chi2 and log-evidence.
-        place_deviation: Deviation of the place of each contact along the surface, over its radius,
-            by which the data are best explained; zero where the places agree with them.
     """
 
     field: ShapeField
@@ -132,7 +129,6 @@ class ShapeReconstruction(Displayed):
     rim_deviation: float = 0.0
     unexplained: float = 0.0
     history: tuple[dict[str, Any], ...] = ()
-    place_deviation: float = 0.0
 
     def summary(self) -> str:
         """Return a description of the result in a few lines of text."""
@@ -220,7 +216,6 @@ class ShapeReconstruction(Displayed):
             "force_deviation": self.force_deviation,
             "pose_deviation": self.pose_deviation,
             "rim_deviation": self.rim_deviation,
-            "place_deviation": self.place_deviation,
             "unexplained": self.unexplained,
             "history": list(self.history),
         }
@@ -240,7 +235,6 @@ class ShapeReconstruction(Displayed):
             plain.get("rim_deviation", 0.0),
             plain["unexplained"],
             tuple(plain["history"]),
-            plain.get("place_deviation", 0.0),
         )
 
 

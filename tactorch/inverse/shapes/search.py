@@ -132,11 +132,10 @@ def _result(
     fit = model.fit
     history.append(record("final fit", fit))
     _log.info("final fit: chi2 %.4g", fit.chi2)
-    errors = model.errors
     return ShapeReconstruction(
         fit.field, fit.z, make_posterior(model, problem.sites), fit.chi2,
-        *_log_odds(problem, model), errors.forces, errors.pose, errors.rims,
-        unexplained(fit, problem.quadratic.data), tuple(history), errors.places,
+        *_log_odds(problem, model), *model.errors, unexplained(fit, problem.quadratic.data),
+        tuple(history),
     )  # fmt: skip
 
 
