@@ -20,7 +20,7 @@ class ErrorPatterns:
         pose: Rigid motions of contacts, and motions of probes.
         forces: Errors of the forces of each press.
         rims: Errors of the traction at the rims of contacts.
-        stated: Correlated errors that the presses state, of their own deviation.
+        stated: Correlated errors that the presses state, with the deviations stated.
     """
 
     pose: Float[np.ndarray, "data pose"]
