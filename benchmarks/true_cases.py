@@ -51,7 +51,7 @@ from tactorch.simulation.plan import PressSite
 
 FORMAT = 3  # of the cached recordings; raised when their computation changes
 VOXELS = 36
-N_RANDOM = 100  # objects of random shape
+N_RANDOM = 150  # objects of random shape
 MATERIAL = MaterialSpec("neo_hookean", 0.45)
 SPRING_N_PER_MM = 1.0  # of each supported node of the recording's mesh
 FORCE_ERROR, MISPLACEMENT_MM = 0.05, 0.3

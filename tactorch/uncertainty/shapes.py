@@ -2,10 +2,12 @@
 
 The posterior of the parameters z of shapes, in standard deviations of their prior, is
 p(z) ~ exp(-(|r(z)|^2 / s + |z|^2) / 2) J(z), with the residuals r of the presses' equilibria, the
-inflation s = max(1, chi2) of the variance of the noise, and the determinant J of the derivative of
-the coordinates of `ShapePosterior`, in which the prior is flat beside the normal one.
-`ShapePosterior` is an approximation in which r is linearised, normal in these coordinates. Here it
-is the first proposal of importance sampling, with an equilibrium of each press for each draw; see
+inflation s = max(1, chi2) of the variance of the noise, and a prior J beside the normal one.
+`ShapePosterior` is an approximation, in which r is linearised or quadratic along the ridges of
+inclusions. With ridges J is Jeffreys' prior, the root of the determinant of the linearised
+precision at z. Without any it is the determinant of the derivative of the coordinates of
+`ShapePosterior`, in which the prior is flat, and the approximation normal. The approximation is the
+first proposal of importance sampling, with an equilibrium of each press for each draw; see
 `tactorch.uncertainty.importance`.
 """
 
@@ -200,8 +202,9 @@ def sample_posterior(
     """Return draws of parameters of shapes, and the logarithms of their weights.
 
     The first proposals are Student t distributions about the normal posterior, in its coordinates,
-    and in the logarithms, with the moments of the samples of the approximation: the first has the
-    shape of the posterior near its maximum, and the second reaches inclusions of large contrast.
+    and in the logarithms, with the moments of the samples of the approximation, which include those
+    about its ridges: the first has the shape of the posterior near its maximum, and the second
+    reaches inclusions of large contrast.
 
     Args:
         approximation: Approximate posterior, within whose limits the draws are.
@@ -279,7 +282,7 @@ class _ExactPosterior:
         _, fields = evaluation.linear_response(family.at(approximation.z).changes)
         quadratic = problem.quadratic.with_data(evaluation.data)
         quadratic.evaluations = 0
-        inflation = max(1.0, result.chi2)
+        inflation = max(1.0, evaluation.chi2)
         return _ExactPosterior(
             quadratic, family, approximation, evaluation, fields, inflation, update
         )
@@ -296,9 +299,16 @@ class _ExactPosterior:
             return -np.inf
         self.update(f"evaluation {self.problem.evaluations}")
         residuals = evaluation.residuals
-        log_jacobian = float(self.approximation.log_jacobian(z[None])[0])
         misfit = 0.5 * float(residuals @ residuals) / self.inflation
-        return log_jacobian - misfit - self.family.shapes.penalty(z)
+        return self._log_prior(z, evaluation) - misfit - self.family.shapes.penalty(z)
+
+    def _log_prior(self, z: Float[np.ndarray, " size"], evaluation: Evaluation) -> float:
+        """Return the logarithm of the prior beside the normal one, up to a constant."""
+        if not self.approximation.ridges:
+            return float(self.approximation.log_jacobian(z[None])[0])
+        jacobian = self.family.at(z).jacobian(evaluation)
+        precision = jacobian.T @ jacobian / self.inflation + np.eye(len(z))
+        return 0.5 * float(np.linalg.slogdet(precision)[1])
 
     def _starts(self, z: Float[np.ndarray, " size"]) -> list[Float[np.ndarray, "nodes 3"]]:
         """Return the linearised displacements, on which few steps of an equilibrium search remain.

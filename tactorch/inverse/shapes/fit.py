@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float
+from scipy.linalg import null_space
 
 from tactorch.errors import ConvergenceError
 from tactorch.inverse.fields import FieldPoint, ModulusField, Vector
@@ -36,10 +37,12 @@ class ShapesOnSites(ModulusField):
     Attributes:
         shapes: The field.
         sites: Volumes of the quadrature points.
+        held: A direction along which a fit does not change the coefficients, or None.
     """
 
     shapes: ShapeField
     sites: Sites
+    held: Vector | None = None
 
     @property
     def size(self) -> int:  # type: ignore[override]
@@ -149,6 +152,7 @@ def fit_shapes(
     evaluation: Evaluation | None = None,
     max_iterations: int = 20,
     tolerance: float = 0.02,
+    held: Vector | None = None,
     give_up: Callable[[ShapeFit, float], bool] = lambda fit, fall: False,
 ) -> tuple[ShapeFit, Evaluation]:
     """Fit shapes to the presses of a problem.
@@ -165,13 +169,14 @@ def fit_shapes(
             The parameters are then within some sqrt(2 tolerance) posterior standard deviations of
             the optimum. It also stops below a fall of 0.5 where errors of the derivatives prevent
             a descent.
+        held: A direction along which the parameters do not change, or None.
         give_up: Called before each step with the present fit and the predicted fall of the
             objective; where it is true the fit ends there.
 
     Raises:
         ConvergenceError: the start has no equilibrium under the recorded forces.
     """
-    family = ShapesOnSites(field, sites or Sites.of(problem.body.assembly))
+    family = ShapesOnSites(field, sites or Sites.of(problem.body.assembly), held)
     if evaluation is None:
         state = _State.at(problem, family, np.clip(start, *family.limits), starts)
     else:
@@ -247,12 +252,14 @@ class _State:
         return jacobian.T @ jacobian + np.eye(len(self.z))
 
     def newton_step(self, damping: float = 0.0) -> Vector:
-        """Return the damped step of the parameters that are not at a bound."""
+        """Return the damped step of the parameters that are neither at a bound nor held."""
         free = projected_gradient(self.z, self._gradient, self.family.limits) != 0.0
         hessian = self._hessian + damping * np.diag(np.diag(self._hessian))
-        step = np.zeros_like(self.z)
-        step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], self._gradient[free])
-        return step
+        basis = np.eye(len(self.z))[:, free]
+        if self.family.held is not None:
+            basis = basis @ null_space((self.family.held @ basis)[None])
+        step = np.linalg.solve(basis.T @ hessian @ basis, basis.T @ self._gradient)
+        return -np.asarray(basis @ step)
 
     def step(self, damping: float) -> Vector:
         """Return the damped step, shortened to where linearisation is meaningful, within bounds."""
@@ -269,7 +276,9 @@ class _State:
         changes = [np.tensordot(step, fields, 1) for fields in self._response[1]]
         starts = self.evaluation.moved(changes)
         with suppress(ConvergenceError):
-            z = np.clip(self.family.shapes.moved(self.z, step), *self.family.limits)
+            straight = self.family.held is not None
+            z = self.z + step if straight else self.family.shapes.moved(self.z, step)
+            z = np.clip(z, *self.family.limits)
             return _State.at(problem, self.family, z, starts)
         return None
 

@@ -183,13 +183,14 @@ class ShapeProblem:
         start: Start,
         displacements: Sequence[Float[np.ndarray, "nodes 3"]],
         tolerance: float = _ROUGH_TOLERANCE,
+        held: Float[np.ndarray, " size"] | None = None,
     ) -> Model:
-        """Fit with quadratic elements, from these displacements."""
+        """Fit with quadratic elements, from these displacements; see `fit_shapes` for `held`."""
         self._check()
         problem = self.quadratic.with_data(self.data(start.errors))
         fit = fit_shapes(
             problem, start.field, start.z, sites=self.sites, starts=displacements,
-            tolerance=tolerance, give_up=self._never,
+            tolerance=tolerance, held=held, give_up=self._never,
         )  # fmt: skip
         return Model(*fit, start.errors)
 

@@ -25,16 +25,17 @@ from tactorch.inverse.shapes.model import (
     Proposal,
     Start,
     gain,
-    make_posterior,
     record,
     unexplained,
     without,
 )
 from tactorch.inverse.shapes.palpation import find_palpation_shapes
+from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.inverse.shapes.problem import ShapeProblem, is_same_model
 from tactorch.inverse.shapes.proposals import propose
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
 from tactorch.inverse.shapes.sizing import refined_at_contacts
+from tactorch.inverse.shapes.uncertain import final_posterior
 from tactorch.progress import progress_line
 from tactorch.recording import Recording
 
@@ -111,7 +112,9 @@ def _search(
             model = problem.precise(model)
             history.append(record(proposal.what, model.fit))
         update("final fit")
-        return _result(problem, _final(problem, model), history)
+        model = _final(problem, model)
+        update("posterior")
+        return _result(problem, *final_posterior(problem, model), history)
     except CancelledError as error:
         error.reached = ShapeState(model.fit.field, model.fit.z, *model.errors)
         raise
@@ -127,13 +130,13 @@ def _final(problem: ShapeProblem, model: Model) -> Model:
 
 
 def _result(
-    problem: ShapeProblem, model: Model, history: list[dict[str, Any]]
+    problem: ShapeProblem, model: Model, posterior: ShapePosterior, history: list[dict[str, Any]]
 ) -> ShapeReconstruction:
     fit = model.fit
     history.append(record("final fit", fit))
     _log.info("final fit: chi2 %.4g", fit.chi2)
     return ShapeReconstruction(
-        fit.field, fit.z, make_posterior(model, problem.sites), fit.chi2,
+        fit.field, fit.z, posterior, fit.chi2,
         *_log_odds(problem, model), *model.errors, unexplained(fit, problem.quadratic.data),
         tuple(history),
     )  # fmt: skip

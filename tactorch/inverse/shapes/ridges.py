@@ -1,0 +1,209 @@
+"""The posterior of an inclusion along the ridge on which radius and contrast compensate each other.
+
+Where the data hardly distinguish a small inclusion of large contrast from a larger one of a smaller
+contrast, no coordinates make the posterior normal. Its ridge is followed from the best fit: the
+parameters are fitted again at several values of t, a difference of log-radius and log-contrast in
+standard deviations of their prior that changes along the ridge. Conditional on t the posterior is
+normal (Laplace approximation), as in the profile likelihood (A. Raue et al., Bioinformatics 25
+(2009), 1923-1929) and the nested approximation of H. Rue et al. (J. R. Stat. Soc. B 71 (2009),
+319-392). With Jeffreys' prior, beside the normal one, the determinants cancel but for the deviation
+of t, and the marginal density of t is that of the conditional optimum over this deviation. Central
+intervals are then close to those of the profile likelihood.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+from scipy.linalg import null_space
+from scipy.special import ndtr
+
+_GRID = 2001  # values of t of the distribution function
+_TAIL = 1.0  # length of t beyond the last points, in standard deviations of the prior
+_MIN_SLOPE = 0.5  # of the log-density beyond the last points
+
+
+@dataclass(frozen=True, eq=False)
+class RidgePoint:
+    """The conditional posterior at one value of t.
+
+    Attributes:
+        z: The most probable parameters, in standard deviations of the prior.
+        height: Half the sum of squared residuals and squared parameters there.
+        slope: Derivative of `height` by t along the ridge.
+        along: Derivative of `z` by t along the ridge.
+        root: Cholesky factor of the conditional covariance, in the ridge's `basis`.
+        deviation: Standard deviation of t in the model linearised here.
+    """
+
+    z: Float[np.ndarray, " size"]
+    height: float
+    slope: float
+    along: Float[np.ndarray, " size"]
+    root: Float[np.ndarray, "others others"]
+    deviation: float
+
+    @staticmethod
+    def of(
+        z: Float[np.ndarray, " size"],
+        residuals: Float[np.ndarray, " data"],
+        jacobian: Float[np.ndarray, "data size"],
+        direction: Float[np.ndarray, " size"],
+    ) -> "RidgePoint":
+        """Return the point of the same t as parameters near it.
+
+        Args:
+            z: The parameters, in standard deviations of the prior.
+            residuals: The residuals there, in standard deviations.
+            jacobian: Their derivatives by z.
+            direction: See `Ridge`.
+        """
+        hessian, gradient = jacobian.T @ jacobian + np.eye(len(z)), jacobian.T @ residuals + z
+        basis = basis_across(direction)
+        across = basis.T @ hessian @ basis
+        step = -basis @ np.linalg.solve(across, basis.T @ gradient)
+        covariance = np.linalg.inv(hessian)
+        variance = float(direction @ covariance @ direction)
+        along = covariance @ direction / variance
+        return RidgePoint(
+            z + step,
+            0.5 * float(residuals @ residuals + z @ z + step @ gradient),
+            float(along @ (gradient + hessian @ step)),
+            along,
+            np.linalg.cholesky(np.linalg.inv(across)),
+            np.sqrt(variance),
+        )
+
+    def step(self, sign: float, rise: float) -> Float[np.ndarray, " size"]:
+        """Return the step along the ridge at whose end a parabola is higher by `rise`."""
+        slope, curvature = sign * self.slope, self.deviation**-2
+        change = (np.sqrt(slope**2 + 2.0 * rise * curvature) - slope) / curvature
+        return np.asarray(sign * change * self.along)
+
+
+def basis_across(direction: Float[np.ndarray, " size"]) -> Float[np.ndarray, "size others"]:
+    """Return an orthonormal basis of the parameters' changes at the same t, see `Ridge`."""
+    return np.asarray(null_space(direction[None]))
+
+
+@dataclass(frozen=True, eq=False)
+class Ridge:
+    """The posterior about the ridge of an inclusion.
+
+    Attributes:
+        inclusion: Number of the inclusion.
+        direction: The unit vector whose product with the parameters is t.
+        points: Points of the ridge in ascending order of t.
+        start: Number of the point at which the normal posterior is linearised.
+    """
+
+    inclusion: int
+    direction: Float[np.ndarray, " size"]
+    points: tuple[RidgePoint, ...]
+    start: int
+
+    @staticmethod
+    def through(
+        start: RidgePoint,
+        others: Sequence[RidgePoint],
+        inclusion: int,
+        direction: Float[np.ndarray, " size"],
+    ) -> "Ridge":
+        """Return the ridge through points, of which the normal posterior is at the first."""
+        points = sorted((start, *others), key=lambda point: float(point.z @ direction))
+        return Ridge(inclusion, direction, tuple(points), points.index(start))
+
+    @cached_property
+    def t(self) -> Float[np.ndarray, " points"]:
+        """Value of t of each point."""
+        return np.array([point.z @ self.direction for point in self.points])
+
+    def transported(self, draws: Float[np.ndarray, "k size"]) -> Float[np.ndarray, "k size"]:
+        """Return samples about the ridge from those of the normal posterior.
+
+        Quantiles of t are kept, and so are the other parameters' deviations from their conditional
+        means, in units of their conditional deviations.
+        """
+        start, basis = self.points[self.start], basis_across(self.direction)
+        offset = (draws - start.z) @ self.direction
+        t = self.quantiles(ndtr(offset / start.deviation + start.slope * start.deviation))
+        rest = (draws - start.z - offset[:, None] * start.along) @ basis
+        units = np.linalg.solve(start.root, rest.T).T
+        spread = np.einsum("kij,kj->ki", self._roots(t), units) @ basis.T
+        return self.mean(t) + spread
+
+    def mean(self, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k size"]:
+        """Return the conditional mean of the parameters; it is straight beyond the last points."""
+        inside = np.clip(t, self.t[0], self.t[-1])
+        if len(self.points) == 1:
+            mean = np.tile(self.points[0].z, (len(t), 1))
+        else:
+            z, along = zip(*((p.z, p.along) for p in self.points), strict=True)
+            mean = CubicHermiteSpline(self.t, np.array(z), np.array(along))(inside)
+        ends = np.where((t < self.t[0])[:, None], self.points[0].along, self.points[-1].along)
+        return np.asarray(mean + (t - inside)[:, None] * ends)
+
+    def quantiles(self, levels: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """Return the quantiles of t at levels between 0 and 1."""
+        grid = np.linspace(self.t[0] - _TAIL, self.t[-1] + _TAIL, _GRID)
+        logs = self.log_density(grid)
+        sums = np.cumsum(np.exp(logs - logs.max()))
+        return np.interp(levels, (sums - 0.5 * np.diff(sums, prepend=0.0)) / sums[-1], grid)
+
+    def log_density(self, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """Return the logarithm of the marginal density of t, up to a constant."""
+        inside = np.clip(t, self.t[0], self.t[-1])
+        heights = np.array([p.height for p in self.points])
+        heights -= heights.min()
+        slopes = np.array([p.slope for p in self.points])
+        logs = np.log([p.deviation for p in self.points])
+        if len(self.points) == 1:
+            height, log = np.full(len(t), heights[0]), np.full(len(t), logs[0])
+        else:
+            height = CubicHermiteSpline(self.t, heights, slopes)(inside)
+            log = PchipInterpolator(self.t, logs)(inside)
+        out = t - inside
+        below, above = min(slopes[0], -_MIN_SLOPE), max(slopes[-1], _MIN_SLOPE)
+        curvature = np.where(out < 0, self.points[0].deviation, self.points[-1].deviation) ** -2.0
+        height = height + np.where(out < 0, below, above) * out + 0.5 * curvature * out**2
+        return np.asarray(-height - log)
+
+    def _roots(self, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k others others"]:
+        """Return factors of the conditional covariance, linear between points."""
+        roots = np.array([point.root for point in self.points])
+        if len(self.points) == 1:
+            return np.repeat(roots, len(t), axis=0)
+        inside = np.clip(t, self.t[0], self.t[-1])
+        after = np.clip(np.searchsorted(self.t, inside), 1, len(self.t) - 1)
+        share = (inside - self.t[after - 1]) / (self.t[after] - self.t[after - 1])
+        return roots[after - 1] + share[:, None, None] * (roots[after] - roots[after - 1])
+
+    def plain(self) -> dict[str, Any]:
+        """Return plain JSON values; the inverse of `of`."""
+        points = [
+            {name: np.asarray(value).tolist() for name, value in vars(point).items()}
+            for point in self.points
+        ]
+        return {
+            "inclusion": self.inclusion,
+            "direction": self.direction.tolist(),
+            "points": points,
+            "start": self.start,
+        }
+
+    @staticmethod
+    def of(plain: Mapping[str, Any]) -> "Ridge":
+        """Return the ridge from plain JSON values."""
+        points, direction = tuple(map(_point, plain["points"])), np.array(plain["direction"])
+        return Ridge(plain["inclusion"], direction, points, plain["start"])
+
+
+def _point(plain: Mapping[str, Any]) -> RidgePoint:
+    """Return a point from plain JSON values."""
+    z, along, root = (np.array(plain[name]) for name in ("z", "along", "root"))
+    height, slope, deviation = (float(plain[name]) for name in ("height", "slope", "deviation"))
+    return RidgePoint(z, height, slope, along, root, deviation)

@@ -1,0 +1,199 @@
+"""Ridges of inclusions of uncertain radius and contrast, on models whose posterior is known."""
+
+import json
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from tactorch.inverse.shapes import strength
+from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.inverse.shapes.posterior import ShapePosterior
+from tactorch.inverse.shapes.ridges import Ridge, RidgePoint, basis_across
+from tactorch.mesh import box_mesh
+
+PRIOR = ShapePrior.of(box_mesh(10.0, 3), 0.2)
+BALL = ShapeField(PRIOR, (False,))
+CENTER = [np.log(0.2), 5.0, 5.0, 6.0]
+
+
+class FarField:
+    """Data linear in the squared radius and strength of a ball, and in its other parameters.
+
+    Args:
+        radius, contrast: Those of the ball without noise.
+        errors: Deviations of squared radius (mm^2) and strength (mm^3).
+    """
+
+    def __init__(self, radius: float, contrast: float, errors: tuple[float, float]) -> None:
+        self._best = self._linear(np.array([*CENTER, np.log(radius), np.log(contrast)]))
+        self._scale = np.array([0.01, 0.05, 0.05, 0.05, *errors])
+        sign = 1.0 if contrast > 1.0 else -1.0
+        self.direction = np.array([0.0, 0.0, 0.0, 0.0, 1.0, -sign]) / np.sqrt(2.0)
+
+    @staticmethod
+    def _linear(values: np.ndarray) -> np.ndarray:
+        linear = values.copy()
+        linear[..., 4:6] = strength.from_logs(values[..., 4:6])
+        # A correlation of the depth with the strength.
+        linear[..., 3] += 0.05 * linear[..., 5]
+        return linear
+
+    def residuals(self, z: np.ndarray) -> np.ndarray:
+        return (self._linear(BALL.physical(z)) - self._best) / self._scale
+
+    def jacobian(self, z: np.ndarray) -> np.ndarray:
+        steps = 1e-5 * np.eye(6)
+        return ((self.residuals(z + steps) - self.residuals(z - steps)) / 2e-5).T
+
+    def point(self, z: np.ndarray) -> RidgePoint:
+        return RidgePoint.of(z, self.residuals(z), self.jacobian(z), self.direction)
+
+    def fitted(self, z: np.ndarray, *, held: bool) -> np.ndarray:
+        """Return the optimum from a start, with t held or not."""
+        basis = basis_across(self.direction) if held else np.eye(6)
+        for _ in range(50):
+            columns = self.jacobian(z) @ basis
+            gradient = columns.T @ self.residuals(z) + basis.T @ z
+            hessian = columns.T @ columns + np.eye(basis.shape[1])
+            z = z - 0.5 * basis @ np.linalg.solve(hessian, gradient)
+        return z
+
+    def posterior(
+        self, rise: float = 2.0, sides: tuple[float, ...] = (-1.0, 1.0)
+    ) -> ShapePosterior:
+        """Return the posterior about the ridge that is followed from the best fit."""
+        best = self.fitted(self._start(), held=False)
+        start, others = self.point(best), []
+        for sign in sides:
+            point = start
+            while point.height - start.height < 3.0:
+                step = point.step(sign, 2.0)
+                step /= max(1.0, np.abs(step).max() / 0.6)
+                z = self.fitted(point.z + step, held=True)
+                if np.abs(z).max() > 3.9:
+                    break
+                point = self.point(z)
+                others.append(point)
+        ridge = Ridge.through(start, others, 0, self.direction)
+        jacobian = self.jacobian(best)
+        covariance = np.linalg.inv(jacobian.T @ jacobian + np.eye(6))
+        return ShapePosterior(BALL, best, np.zeros(6), covariance, (ridge,))
+
+    def _start(self) -> np.ndarray:
+        values = self._best.copy()
+        values[3] -= 0.05 * values[5]
+        values[4:6] = strength.to_logs(values[4:6])
+        return BALL.standard(values)
+
+    def exact(self, levels: list[float]) -> tuple[np.ndarray, np.ndarray]:
+        """Return quantiles of log-radius and log-contrast with Jeffreys' prior, by a grid.
+
+        Background and centre are normal given radius and contrast.
+        """
+        best = self._start()
+        radius, contrast = np.linspace(-1.5, 1.5, 101), np.linspace(-4.0, 4.0, 201)
+        logs = np.full((len(radius), len(contrast)), -np.inf)
+        for (i, r), (j, c) in product(enumerate(radius), enumerate(contrast)):
+            z = np.r_[best[:4], r, c]
+            columns, residuals = self.jacobian(z), self.residuals(z)
+            hessian, gradient = columns.T @ columns + np.eye(6), columns.T @ residuals + z
+            step = np.linalg.solve(hessian[:4, :4], gradient[:4])
+            height = 0.5 * (residuals @ residuals + z @ z - gradient[:4] @ step)
+            determinants = [np.linalg.slogdet(h)[1] for h in (hessian, hessian[:4, :4])]
+            logs[i, j] = -height + 0.5 * (determinants[0] - determinants[1])
+        density = np.exp(logs - logs.max())
+        found = []
+        for grid, mass in ((radius, density.sum(axis=1)), (contrast, density.sum(axis=0))):
+            found.append(np.interp(levels, (np.cumsum(mass) - 0.5 * mass) / mass.sum(), grid))
+        return found[0], found[1]
+
+
+LEVELS = [0.05, 0.5, 0.95]
+STIFF = FarField(1.7, 6.0, (0.6, 0.3))
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        FarField(2.0, 2.0, (0.4, 0.1)),  # nearly normal
+        STIFF,  # the contrast saturates
+        FarField(2.5, 0.3, (1.5, 0.5)),  # soft
+    ],
+)
+def test_samples_are_those_of_the_posterior_with_jeffreys_prior(model):
+    samples = model.posterior().samples(4_000)
+    for quantiles, values in zip(model.exact(LEVELS), samples[:, 4:6].T, strict=True):
+        width = quantiles[2] - quantiles[0]
+        np.testing.assert_allclose(np.quantile(values, LEVELS), quantiles, atol=0.04 * width)
+
+
+def test_the_normal_posterior_has_too_wide_an_interval_where_the_contrast_saturates():
+    posterior = STIFF.posterior()
+    normal = replace(posterior, ridges=()).samples(4_000)
+    _, exact = STIFF.exact(LEVELS)
+    assert np.quantile(normal[:, 5], 0.95) > exact[2] + 0.12 * (exact[2] - exact[0])
+
+
+def test_a_ridge_of_a_linear_model_is_the_normal_posterior():
+    rng = np.random.default_rng(3)
+    jacobian, offset = 3.0 * rng.standard_normal((20, 6)), rng.standard_normal(20)
+    hessian = jacobian.T @ jacobian + np.eye(6)
+    best = -np.linalg.solve(hessian, jacobian.T @ offset)
+    direction = STIFF.direction
+    # The points are found from parameters beside the ridge.
+    points = [
+        RidgePoint.of(z, jacobian @ z + offset, jacobian, direction)
+        for z in best + 0.3 * np.arange(-2, 3)[:, None] * direction + 0.1 * rng.random((5, 6))
+    ]
+    ridge = Ridge.through(points[1], [points[0], *points[2:]], 0, direction)
+    covariance = np.linalg.inv(hessian)
+    deviation = np.sqrt(direction @ covariance @ direction)
+    heights = [0.5 * ((t - best @ direction) / deviation) ** 2 for t in ridge.t]
+    lowest = 0.5 * (np.sum((jacobian @ best + offset) ** 2) + best @ best)
+    np.testing.assert_allclose([p.height - lowest for p in ridge.points], heights, atol=1e-10)
+    slopes = (ridge.t - best @ direction) / deviation**2
+    np.testing.assert_allclose([p.slope for p in ridge.points], slopes, atol=1e-9)
+    draws = rng.multivariate_normal(best, covariance, 200)
+    # Within the points the samples remain; beyond them the slope is at least 0.5.
+    inside = np.abs(draws @ direction - ridge.t.mean()) < 0.5 * np.ptp(ridge.t)
+    assert inside.sum() > 150
+    np.testing.assert_allclose(ridge.transported(draws)[inside], draws[inside], atol=2e-3)
+
+
+def test_the_point_of_linearisation_needs_not_be_the_best():
+    """A normal posterior that is linearised off the optimum, with its step to it."""
+    posterior = STIFF.posterior()
+    (ridge,) = posterior.ridges
+    other = replace(ridge, start=ridge.start + 1)
+    point = other.points[other.start]
+    jacobian, residuals = STIFF.jacobian(point.z), STIFF.residuals(point.z)
+    covariance = np.linalg.inv(jacobian.T @ jacobian + np.eye(6))
+    step = -covariance @ (jacobian.T @ residuals + point.z)
+    moved = ShapePosterior(BALL, point.z, step, covariance, (other,))
+    expected = np.quantile(posterior.samples(4_000)[:, 5], LEVELS)
+    found = np.quantile(moved.samples(4_000)[:, 5], LEVELS)
+    np.testing.assert_allclose(found, expected, atol=0.05 * np.ptp(expected))
+
+
+def test_one_point_is_the_normal_distribution_of_the_logarithms():
+    posterior = STIFF.posterior(sides=())
+    samples = posterior.samples(4_000)
+    deviation = np.sqrt(np.diag(posterior.covariance))
+    np.testing.assert_allclose(samples[:, 5].mean(), posterior.z[5], atol=0.1 * deviation[5])
+    np.testing.assert_allclose(samples[:, 5].std(), deviation[5], rtol=0.1)
+
+
+def test_samples_are_within_the_limits_of_the_prior():
+    samples = FarField(1.5, 25.0, (0.3, 0.3)).posterior().samples(2_000)
+    assert np.abs(samples).max() < 4.0
+    assert samples[:, 5].max() > 3.0
+
+
+def test_plain_values_are_inverted():
+    posterior = STIFF.posterior()
+    again = ShapePosterior.of(json.loads(json.dumps(posterior.plain())))
+    np.testing.assert_array_equal(again.samples(500), posterior.samples(500))
+    without = {name: value for name, value in posterior.plain().items() if name != "ridges"}
+    assert ShapePosterior.of(without).ridges == ()
