@@ -19,6 +19,8 @@ _log = logging.getLogger(__name__)
 _MIN_DEVIATION = np.array([0.05, 0.1])
 _TOLERANCE = 0.1  # of the fit whose posterior it is
 _MAX_POINTS = 6  # on each side of the best fit
+# Predicted fall of the objective below which a point of a ridge is not fitted further: the
+# predicted optimum is right within a few hundredths then.
 _RIDGE_TOLERANCE = 5.0
 _RISE = 2.0  # of half the sum of squares from one point of a ridge to the next
 _MAX_RISE = 2.5  # at the last points; that of the ends of a central 90 % interval is 1.35
@@ -42,9 +44,9 @@ def final_posterior(problem: ShapeProblem, model: Model) -> tuple[Model, ShapePo
         _log.warning("The posterior is linearised at balls, as ellipsoids fail: %s", error)
         free = model
     posterior = make_posterior(free, problem.sites)
-    uncertain = [k for k in range(len(posterior.field.parts)) if _is_uncertain(posterior, k)]
     if not all(free.fit.field.distorted):
         return model, posterior
+    uncertain = [k for k in range(len(posterior.field.parts)) if _is_uncertain(posterior, k)]
     ridges = tuple(follow_ridge(problem, free, k) for k in uncertain)
     return model, replace(posterior, ridges=ridges)
 
@@ -103,7 +105,7 @@ def _one_side(
         step /= max(1.0, float(np.abs(step).max()) / _MAX_STEP)
         z = np.clip(field.moved(point.z, step), -_MAX_Z, _MAX_Z)
         if sign * float(direction @ (z - point.z)) < _MIN_STEP:
-            return
+            return  # at a bound
         start = Start("ridge", field, z, model.errors)
         try:
             model = problem.fit(
@@ -111,7 +113,9 @@ def _one_side(
             )
         except ConvergenceError:
             return
-        point = _point(model, direction, inflation)
+        before, point = point, _point(model, direction, inflation)
+        if sign * float(direction @ (point.z - before.z)) < _MIN_STEP:
+            return
         yield point
         lowest = min(lowest, point.height)
         if point.height - lowest > _MAX_RISE:
