@@ -3,12 +3,13 @@
     python benchmarks/shape_sampler.py [--count 6] [--only OBJECT...] [--draws 200]
         [--cache FOLDER] [--workers N] [--out FOLDER]
 
-Each object of `true_objects.py` is searched by `find_shapes`, whose posterior is normal in
-squared radius and strength ("fast"), and then sampled by `sample_shapes`, with the equilibria of
-every draw ("sampled"). Central 90 % intervals of the modulus, the radius and the centre of the
-inclusion are compared: the width of the fast one over that of the sampled one, with its standard
-error by bootstrap of the draws; and the fast median less the sampled one in sampled deviations,
-each the width of the interval over 3.29. "In" says which of the intervals has the true value.
+Each object of `true_objects.py` is searched by `find_shapes`, whose posterior is normal in squared
+radius and strength or about a ridge ("fast"), and then sampled by `sample_shapes`, with the
+equilibria of every draw ("sampled"). Central 90 % intervals of the modulus, the radius and the
+centre of the inclusion are compared: the width of the fast one over that of the sampled one, with
+its standard error by bootstrap of the draws; and the fast median less the sampled one in sampled
+deviations, each the width of the interval over 3.29. "In" says which of the intervals has the true
+value.
 
 The last line printed is one JSON object.
 """
