@@ -138,7 +138,9 @@ def make_posterior(model: Model, sites: Sites) -> ShapePosterior:
     for k in range(len(field.distorted)):
         field, z = as_ellipsoid(field, z, k)
     inflation = max(1.0, fit.chi2)
-    jacobian = ShapesOnSites(field, sites).at(z).jacobian(model.evaluation)
+    jacobian = fit.jacobian
+    if field is not fit.field:
+        jacobian = ShapesOnSites(field, sites).at(z).jacobian(model.evaluation)
     covariance = np.linalg.inv(jacobian.T @ jacobian / inflation + np.eye(len(z)))
     gradient = jacobian.T @ fit.residuals / inflation + z
     return ShapePosterior(field, z, -covariance @ gradient, covariance)

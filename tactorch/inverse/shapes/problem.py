@@ -184,13 +184,17 @@ class ShapeProblem:
         displacements: Sequence[Float[np.ndarray, "nodes 3"]],
         tolerance: float = _ROUGH_TOLERANCE,
         held: Float[np.ndarray, " size"] | None = None,
+        evaluation: Evaluation | None = None,
     ) -> Model:
-        """Fit with quadratic elements, from these displacements; see `fit_shapes` for `held`."""
+        """Fit with quadratic elements, from these displacements.
+
+        See `fit_shapes` for `held` and `evaluation`.
+        """
         self._check()
         problem = self.quadratic.with_data(self.data(start.errors))
         fit = fit_shapes(
             problem, start.field, start.z, sites=self.sites, starts=displacements,
-            tolerance=tolerance, held=held, give_up=self._never,
+            evaluation=evaluation, tolerance=tolerance, held=held, give_up=self._never,
         )  # fmt: skip
         return Model(*fit, start.errors)
 
