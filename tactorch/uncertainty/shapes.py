@@ -282,7 +282,7 @@ class _ExactPosterior:
         _, fields = evaluation.linear_response(family.at(approximation.z).changes)
         quadratic = problem.quadratic.with_data(evaluation.data)
         quadratic.evaluations = 0
-        inflation = max(1.0, evaluation.chi2)
+        inflation = max(1.0, result.chi2)
         return _ExactPosterior(
             quadratic, family, approximation, evaluation, fields, inflation, update
         )
