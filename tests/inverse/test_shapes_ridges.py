@@ -197,3 +197,56 @@ def test_plain_values_are_inverted():
     np.testing.assert_array_equal(again.samples(500), posterior.samples(500))
     without = {name: value for name, value in posterior.plain().items() if name != "ridges"}
     assert ShapePosterior.of(without).ridges == ()
+
+
+def embedded(ridge: Ridge, rows: np.ndarray, best: np.ndarray, rest: np.ndarray) -> Ridge:
+    """Return a ridge of some of the parameters, where the others are independent of them.
+
+    Args:
+        ridge: The ridge of the parameters `rows`.
+        rows: Numbers of its parameters.
+        best: The most probable parameters, all of them.
+        rest: Covariance of all parameters, of which that of the others is used.
+    """
+    direction = np.zeros(len(best))
+    direction[rows] = ridge.direction
+    basis, own = basis_across(direction), basis_across(ridge.direction)
+    points = []
+    for point in ridge.points:
+        z, along, covariance = best.copy(), np.zeros(len(best)), rest.copy()
+        z[rows], along[rows] = point.z, point.along
+        covariance[rows] = covariance[:, rows] = 0.0
+        covariance[np.ix_(rows, rows)] = own @ point.root @ point.root.T @ own.T
+        root = np.linalg.cholesky(basis.T @ covariance @ basis)
+        points.append(replace(point, z=z, along=along, root=root))
+    return replace(ridge, direction=direction, points=tuple(points))
+
+
+def test_two_inclusions_have_a_ridge_each():
+    """The samples of each are those that it has alone, up to the background that they share."""
+    one, two = STIFF.posterior(), FarField(2.5, 0.3, (1.5, 0.5)).posterior()
+    field = ShapeField(PRIOR, (False, False))
+    first, second = np.arange(6), np.arange(6, 11)
+    best, covariance = np.r_[one.z, two.z[1:]], np.zeros((11, 11))
+    covariance[:6, :6], covariance[6:, 6:] = one.covariance, two.covariance[1:, 1:]
+    (ridge,), (other,) = one.ridges, two.ridges
+    cut = [
+        replace(p, z=p.z[1:], along=p.along[1:], root=without_first(p, other.direction))
+        for p in other.points
+    ]
+    other = replace(other, direction=other.direction[1:], points=tuple(cut))
+    ridges = tuple(
+        embedded(each, rows, best, covariance) for each, rows in ((ridge, first), (other, second))
+    )
+    samples = ShapePosterior(field, best, np.zeros(11), covariance, ridges).samples(4_000)
+    for alone, rows in ((one, first[4:]), (two, second[3:])):
+        expected = np.quantile(alone.samples(4_000)[:, 4:6], LEVELS, axis=0)
+        found = np.quantile(samples[:, rows], LEVELS, axis=0)
+        assert (np.abs(found - expected) < 0.06 * np.ptp(expected, axis=0)).all()
+
+
+def without_first(point: RidgePoint, direction: np.ndarray) -> np.ndarray:
+    """Return the factor of the covariance without the first parameter, the background."""
+    basis, fewer = basis_across(direction), basis_across(direction[1:])
+    covariance = basis @ point.root @ point.root.T @ basis.T
+    return np.linalg.cholesky(fewer.T @ covariance[1:, 1:] @ fewer)

@@ -114,7 +114,10 @@ def _search(
         update("final fit")
         model = _final(problem, model)
         update("posterior")
-        return _result(problem, *final_posterior(problem, model), history)
+        best, posterior = final_posterior(problem, model)
+        if best is not model:
+            history.append(record("balls as ellipsoids", best.fit))
+        return _result(problem, best, posterior, history)
     except CancelledError as error:
         error.reached = ShapeState(model.fit.field, model.fit.z, *model.errors)
         raise

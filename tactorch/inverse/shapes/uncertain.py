@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConvergenceError
+from tactorch.inverse.shapes.fit import ShapesOnSites
 from tactorch.inverse.shapes.model import MIN_GAIN, Model, Start, as_ellipsoid, gain, make_posterior
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.inverse.shapes.problem import ShapeProblem
@@ -20,12 +21,11 @@ _MIN_DEVIATION = np.array([0.05, 0.1])
 _TOLERANCE = 0.1  # of the fit whose posterior it is
 _MAX_POINTS = 6  # on each side of the best fit
 # Predicted fall of the objective below which a point of a ridge is not fitted further: the
-# predicted optimum is right within a few hundredths then.
+# predicted optimum is right within a tenth then.
 _RIDGE_TOLERANCE = 5.0
 _RISE = 2.0  # of half the sum of squares from one point of a ridge to the next
 _MAX_RISE = 2.5  # at the last points; that of the ends of a central 90 % interval is 1.35
 _MAX_STEP, _MIN_STEP = 0.6, 0.01  # of a parameter, in standard deviations of its prior
-_MAX_Z = 4.0  # largest parameter, in standard deviations of its prior
 
 
 def final_posterior(problem: ShapeProblem, model: Model) -> tuple[Model, ShapePosterior]:
@@ -101,10 +101,11 @@ def _one_side(
 ) -> Iterator[RidgePoint]:
     """Yield points of larger t (sign 1) or smaller t (sign -1)."""
     field, lowest = model.fit.field, point.height
+    limits = ShapesOnSites(field, problem.sites).limits
     for _ in range(_MAX_POINTS):
         step = point.step(sign, _RISE)
         step /= max(1.0, float(np.abs(step).max()) / _MAX_STEP)
-        z = np.clip(field.moved(point.z, step), -_MAX_Z, _MAX_Z)
+        z = np.clip(field.moved(point.z, step), *limits)
         if sign * float(direction @ (z - point.z)) < _MIN_STEP:
             return  # at a bound
         start = Start("ridge", field, z, model.errors)
