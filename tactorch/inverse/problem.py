@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -58,6 +58,14 @@ class _PressSolution:
         return self.model.reported(self.equilibrium.displacement)
 
 
+class _LinearResponse(NamedTuple):
+    """Changes of the data (mm or N) and displacements (mm) of each press by changes of moduli."""
+
+    changes: Float[np.ndarray, "k moduli"]
+    columns: tuple[Float[np.ndarray, "_ k"], ...]
+    fields: tuple[Float[np.ndarray, "k nodes 3"], ...]
+
+
 class Evaluation:
     """All presses at one map of moduli; derivatives are computed on demand.
 
@@ -89,6 +97,7 @@ class Evaluation:
         self.misfit_mm2 = 0.5 * float(sum(d @ d for d in moved))
         self._white = data.whiten(np.concatenate(difference) * data.scale)
         self.residuals = self._misfit.residuals(self._white, self._begins)
+        self._response: _LinearResponse | None = None  # the last one
 
     @property
     def chi2(self) -> float:
@@ -122,6 +131,7 @@ class Evaluation:
         other = Evaluation(*state, self.derivative_rtol)
         if "sensitivities" in vars(self):
             other.sensitivities = self.sensitivities
+        other._response = self._response
         return other
 
     def search(self, i: int) -> Newton:
@@ -212,15 +222,22 @@ class Evaluation:
     def linear_response(
         self, changes: Float[np.ndarray, "k moduli"]
     ) -> tuple[Float[np.ndarray, "data k"], list[Float[np.ndarray, "k nodes 3"]]]:
-        """Return `jacobian_times_each`, and the change of the displacement of each press (mm)."""
+        """Return `jacobian_times_each`, and the change of the displacement of each press (mm).
+
+        The last response is kept, also by `with_data`, for the same changes.
+        """
         cases, data = self.sensitivities, self.data.observations
 
         def work(i: int) -> tuple[np.ndarray, np.ndarray]:
             columns, fields = cases[i].times_each(changes)
-            return columns * data[i].scale[:, None], np.array(fields)
+            return columns, np.array(fields)
 
-        columns, fields = zip(*map_cases(work, len(cases)), strict=True)
-        return self._join(list(columns)), list(fields)
+        if self._response is None or not np.array_equal(self._response.changes, changes):
+            columns, fields = zip(*map_cases(work, len(cases)), strict=True)
+            self._response = _LinearResponse(changes.copy(), columns, fields)
+        pairs = zip(self._response.columns, data, strict=True)
+        scaled = [columns * observation.scale[:, None] for columns, observation in pairs]
+        return self._join(scaled), list(self._response.fields)
 
     def moved(
         self, changes: Sequence[Float[np.ndarray, "nodes 3"]]

@@ -302,6 +302,22 @@ def test_jacobian_times_each_is_that_of_each(recording: Recording, moduli: np.nd
         np.testing.assert_allclose(column, evaluation.jacobian_times(change), rtol=1e-9)
 
 
+def test_the_last_linear_response_is_kept_with_other_data(
+    recording: Recording, moduli: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    evaluation = InverseProblem(recording).evaluate(moduli)
+    first, second = np.random.default_rng(0).normal(size=(2, 3, len(moduli)))
+    found, fields = evaluation.linear_response(first)
+    wider = evaluation.with_data(evaluation.data.widened(np.full(len(recording.presses), 2.0)))
+    with monkeypatch.context() as patch:
+        patch.setattr("tactorch.fem.Sensitivity.times_each", None)  # nothing is solved
+        same, same_fields = wider.linear_response(first.copy())
+    np.testing.assert_allclose(same, 0.5 * found, rtol=1e-12)
+    np.testing.assert_array_equal(same_fields, fields)
+    for column, change in zip(wider.linear_response(second)[0].T, second, strict=True):
+        np.testing.assert_allclose(column, wider.jacobian_times(change), rtol=1e-9)
+
+
 def test_force_patterns_are_changes_by_errors_of_the_forces(
     recording: Recording, moduli: np.ndarray
 ) -> None:

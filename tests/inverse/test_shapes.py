@@ -20,6 +20,7 @@ from tactorch.inverse.shapes.fractions import Geometry
 from tactorch.inverse.shapes.model import (
     Errors,
     Model,
+    Start,
     as_ellipsoid,
     make_posterior,
     varied,
@@ -471,9 +472,25 @@ def test_a_correction_that_fails_leaves_the_model(recording, monkeypatch, caplog
     np.testing.assert_allclose(presses.quadratic.data.observations[0].values, before - 0.02)
     assert "not corrected: no equilibrium" in caplog.text
     calls[:] = calls[:2]
-    shifted = replace(corrected.fit, z=corrected.fit.z + 0.3)
-    final = presses.final(replace(corrected, fit=shifted))  # fails too; fitted closely all the same
+    start = Start("shifted", corrected.fit.field, corrected.fit.z + 0.3, corrected.errors)
+    shifted = presses.fit(start, corrected.evaluation.displacements, tolerance=np.inf)
+    final = presses.final(shifted)  # fails too; fitted closely all the same
     np.testing.assert_allclose(final.fit.z, corrected.fit.z, atol=0.01)
+
+
+def test_displacements_at_other_parameters_are_linearised(recording):
+    presses = ShapeProblem(recording, Settings())
+    model, errors = presses.uniform(), []
+    for step in (0.02, 0.04):
+        z = model.fit.z + step
+        exact = presses.quadratic.evaluate(
+            ShapesOnSites(model.fit.field, presses.sites).at(z).youngs
+        )
+        pairs = zip(presses.displacements(model, z), exact.displacements, strict=True)
+        errors.append(max(np.abs(a - b).max() for a, b in pairs))
+        change = np.subtract(exact.displacements, model.evaluation.displacements)
+        assert errors[-1] < step * np.abs(change).max()
+    assert errors[0] < 0.3 * errors[1]
 
 
 def test_meshes_are_refined_at_inclusions_and_small_contacts(recording):

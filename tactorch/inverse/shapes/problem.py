@@ -252,12 +252,26 @@ class ShapeProblem:
 
     def final(self, model: Model) -> Model:
         """Return the model fitted closely, with predictions corrected for the discretisation."""
-        start = Start("final", model.fit.field, model.fit.z, model.errors)
         if self._correction is not None and not self._is_corrected(model.fit):
             corrected = self.corrected(model, _TOLERANCE)
             if corrected is not model:
                 return corrected
-        return self.fit(start, model.evaluation.displacements, _TOLERANCE)
+        return self._fit_further(model, "final", _TOLERANCE)
+
+    def _fit_further(self, model: Model, what: str, tolerance: float) -> Model:
+        """Return a model fitted again to the present data, from its equilibria."""
+        start = Start(what, model.fit.field, model.fit.z, model.errors)
+        evaluation = model.evaluation
+        return self.fit(start, evaluation.displacements, tolerance, evaluation=evaluation)
+
+    def displacements(
+        self, model: Model, z: Float[np.ndarray, " size"]
+    ) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Return the displacements (mm) of a model with other parameters, linearised about it."""
+        changes = ShapesOnSites(model.fit.field, self.sites).at(model.fit.z).changes
+        _, fields = model.evaluation.linear_response(changes)
+        step = z - model.fit.z
+        return model.evaluation.moved([np.tensordot(step, field, 1) for field in fields])
 
     def _is_corrected(self, fit: ShapeFit) -> bool:
         """Whether the last correction was computed at nearly the same parameters."""
@@ -282,8 +296,7 @@ class ShapeProblem:
             data = self.quadratic.data.shifted([old - new for old, new in pairs])
             self.quadratic, self._correction_mm = self.quadratic.with_data(data), offsets
             self._noisy.clear()
-            start = Start("corrected", model.fit.field, model.fit.z, model.errors)
-            corrected = self.fit(start, model.evaluation.displacements, tolerance)
+            corrected = self._fit_further(model, "corrected", tolerance)
             self._corrected_at = model.fit
             return corrected
         except (ConfigError, ConvergenceError) as error:

@@ -110,9 +110,8 @@ def _one_side(
             return  # at a bound
         start = Start("ridge", field, z, model.errors)
         try:
-            model = problem.fit(
-                start, model.evaluation.displacements, tolerance=_RIDGE_TOLERANCE, held=direction
-            )
+            predicted = problem.displacements(model, z)
+            model = problem.fit(start, predicted, tolerance=_RIDGE_TOLERANCE, held=direction)
         except ConvergenceError:
             return
         before, point = point, _point(model, direction, inflation)
