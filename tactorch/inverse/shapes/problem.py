@@ -60,7 +60,7 @@ class ShapeProblem:
         recording: The presses.
         settings: Noise, solver, bounds and equilibrium search are used.
         stop: Called before each step of a fit and each equilibrium of a correction, by one thread
-            at a time; where it is true they raise `CancelledError`.
+            at a time; once it is true they raise `CancelledError`.
         kept: Errors at rims of an earlier search on fewer presses; those of others are added.
 
     Attributes:
@@ -79,7 +79,8 @@ class ShapeProblem:
         stop: Callable[[], bool] = lambda: False,
         kept: KeptRims | None = None,
     ) -> None:
-        self._stop, self._lock, self._kept = stop, Lock(), kept or KeptRims()
+        self._stop, self._is_stopped, self._lock = stop, False, Lock()
+        self._kept = kept or KeptRims()
         same, self._element = is_same_model(recording), "tet10"
         if same:
             self._element = str(recording.provenance.get("element", settings.element))
@@ -384,9 +385,9 @@ class ShapeProblem:
         return False
 
     def _check(self) -> None:
-        with self._lock:  # presses are solved in threads
-            is_stopped = self._stop()
-        if is_stopped:
+        with self._lock:  # presses are solved in threads, each of which ends at its next check
+            self._is_stopped = self._is_stopped or self._stop()
+        if self._is_stopped:
             raise CancelledError("The search for inclusions was stopped before it had a result.")
 
     def _raw(self, model: Model) -> Evaluation:

@@ -1,7 +1,7 @@
 """Proposals of the search for shapes: models that may be better than the present one."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from tactorch.inverse.shapes.model import (
     without,
 )
 from tactorch.inverse.shapes.problem import ShapeProblem
+from tactorch.linalg import map_cases
 
 _log = logging.getLogger(__name__)
 _STARTS = 3  # fits of each further inclusion
@@ -34,15 +35,9 @@ def propose(problem: ShapeProblem, model: Model, max_shapes: int) -> list[Propos
     evidence at the latter, which prefers an inclusion to large errors of the forces that explain
     as much.
     """
-    fit, offsets = model.fit, problem.offsets(model)
-    proposals = list(_with_other_errors(problem, model))
-    for start in _starts(problem, model, max_shapes):
-        # A start inside a ball that was fitted already would lead to it again.
-        if not any(_is_inside(start, proposal) for proposal in proposals):
-            trial, z = problem.try_model(start, offsets)
-            if len(start.field.distorted) > len(fit.field.distorted):
-                z = moderate(start.field, z)
-            proposals.append(Proposal(start.what, start.field, z, start.errors, trial))
+    fit = model.fit
+    starts = list(_starts(problem, model, max_shapes))
+    proposals = [*_with_other_errors(problem, model), *_fitted(problem, model, starts)]
     inflation = max(1.0, min([fit.chi2, *(p.trial.chi2 for p in proposals)]))
     gains = [p.trial.log_evidence(inflation) - fit.log_evidence(inflation) for p in proposals]
     ranks = [p.trial.log_evidence(max(1.0, fit.chi2)) for p in proposals]
@@ -51,6 +46,34 @@ def propose(problem: ShapeProblem, model: Model, max_shapes: int) -> list[Propos
         _log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", proposal.what, chi2, gain)
     order = np.argsort(ranks)[::-1]
     return [proposals[k] for k in order if gains[k] > MIN_GAIN]
+
+
+def _fitted(problem: ShapeProblem, model: Model, starts: Sequence[Start]) -> list[Proposal]:
+    """Return starts fitted with linear elements, several at once.
+
+    Those with a further inclusion are fitted one after the other, as a start inside a ball that was
+    fitted already would lead to it again.
+    """
+    offsets, count = problem.offsets(model), len(model.fit.field.distorted)
+    further = [start for start in starts if len(start.field.distorted) > count]
+    others = [start for start in starts if len(start.field.distorted) <= count]
+
+    def fit(start: Start) -> Proposal:
+        trial, z = problem.try_model(start, offsets)
+        if len(start.field.distorted) > count:
+            z = moderate(start.field, z)
+        return Proposal(start.what, start.field, z, start.errors, trial)
+
+    def fit_in_turn(chain: Sequence[Start]) -> list[Proposal]:
+        found: list[Proposal] = []
+        for start in chain:
+            if not any(_is_inside(start, proposal) for proposal in found):
+                found.append(fit(start))
+        return found
+
+    chains = [further, *([start] for start in others)]
+    parts = map_cases(lambda k: fit_in_turn(chains[k]), len(chains))
+    return [proposal for part in parts for proposal in part]
 
 
 def _with_other_errors(problem: ShapeProblem, model: Model) -> Iterator[Proposal]:
