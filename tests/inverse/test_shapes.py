@@ -478,6 +478,19 @@ def test_a_correction_that_fails_leaves_the_model(recording, monkeypatch, caplog
     np.testing.assert_allclose(final.fit.z, corrected.fit.z, atol=0.01)
 
 
+def test_the_optimum_is_one_step_beyond_the_last_evaluated_parameters(problem, sites):
+    field = ShapeField(PRIOR, (False,))
+    start = field.standard(np.array(VALUES[False]))
+    close, _ = fit_shapes(problem, field, start, sites=sites, tolerance=1e-6)
+    rough, _ = fit_shapes(problem, field, start, sites=sites, tolerance=0.4)
+    deviations = np.sqrt(np.diag(close.covariance))
+    before, after = (np.abs((z - close.z) / deviations).max() for z in (rough.z, rough.optimum))
+    assert before > 0.05
+    assert after < 0.3 * before
+    far, _ = fit_shapes(problem, field, start, sites=sites, max_iterations=0)
+    np.testing.assert_array_equal(far.optimum, far.z)  # the step is long
+
+
 def test_displacements_at_other_parameters_are_linearised(recording):
     presses = ShapeProblem(recording, Settings())
     model, errors = presses.uniform(), []

@@ -122,6 +122,8 @@ class ShapeFit:
             the covariance of the data.
         residuals: Residuals of all data.
         jacobian: Their derivatives by z.
+        optimum: Parameters one Gauss-Newton step further, at which nothing is evaluated; z where
+            that step is long.
     """
 
     field: ShapeField
@@ -133,6 +135,7 @@ class ShapeFit:
     log_determinant: float
     residuals: Float[np.ndarray, " data"]
     jacobian: Float[np.ndarray, "data size"]
+    optimum: Float[np.ndarray, " size"]
 
     def log_evidence(self, inflation: float = 1.0) -> float:
         """Return the log-evidence where the variance of the noise is `inflation` times as large.
@@ -276,11 +279,19 @@ class _State:
         changes = [np.tensordot(step, fields, 1) for fields in self._response[1]]
         starts = self.evaluation.moved(changes)
         with suppress(ConvergenceError):
-            straight = self.family.held is not None
-            z = self.z + step if straight else self.family.shapes.moved(self.z, step)
-            z = np.clip(z, *self.family.limits)
-            return _State.at(problem, self.family, z, starts)
+            return _State.at(problem, self.family, self._after(step), starts)
         return None
+
+    def _after(self, step: Vector) -> Vector:
+        """Return the parameters after a step, within bounds."""
+        straight = self.family.held is not None
+        z = self.z + step if straight else self.family.shapes.moved(self.z, step)
+        return np.clip(z, *self.family.limits)
+
+    def _optimum(self) -> Vector:
+        step = self.step(0.0)
+        is_long = self.predicted_fall(step) > _ROUND_OFF * max(1.0, self.evaluation.chi2)
+        return self.z if is_long else self._after(step)
 
     def fit(self, problem: InverseProblem) -> ShapeFit:
         """Return the fit with its posterior."""
@@ -296,4 +307,5 @@ class _State:
             0.5 * determinant,
             residuals,
             self._response[0],
+            self._optimum(),
         )

@@ -236,7 +236,7 @@ class ShapeProblem:
         return ShapeFit(
             start.field, z, np.linalg.inv(hessian), evaluation.chi2,
             0.5 * float(residuals @ residuals), start.field.penalty(z), 0.5 * determinant,
-            residuals, columns,
+            residuals, columns, z,
         )  # fmt: skip
 
     def precise(self, model: Model) -> Model:

@@ -139,7 +139,7 @@ def _result(
     history.append(record("final fit", fit))
     _log.info("final fit: chi2 %.4g", fit.chi2)
     return ShapeReconstruction(
-        fit.field, fit.z, posterior, fit.chi2,
+        fit.field, fit.optimum, posterior, fit.chi2,
         *_log_odds(problem, model), *model.errors, unexplained(fit, problem.quadratic.data),
         tuple(history),
     )  # fmt: skip
