@@ -486,7 +486,7 @@ def test_the_optimum_is_one_step_beyond_the_last_evaluated_parameters(problem, s
     deviations = np.sqrt(np.diag(close.covariance))
     before, after = (np.abs((z - close.z) / deviations).max() for z in (rough.z, rough.optimum))
     assert before > 0.05
-    assert after < 0.3 * before
+    assert after < 0.5 * before
     far, _ = fit_shapes(problem, field, start, sites=sites, max_iterations=0)
     np.testing.assert_array_equal(far.optimum, far.z)  # the step is long
 
