@@ -338,7 +338,7 @@ class Correction:
         cores = worker_count()
         count = min(cores + (len(every) % cores > 0), len(every))
         chains = [every[k::count] for k in range(count)]
-        with limit_workers(count):
+        with limit_workers(max(cores, count)):
             parts = map_cases(lambda k: solve(chains[k]), count)
         return {i: values for found in parts for i, values in found.items()}
 

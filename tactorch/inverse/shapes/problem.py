@@ -182,12 +182,12 @@ class ShapeProblem:
     def fit(
         self,
         start: Start,
-        displacements: Sequence[Float[np.ndarray, "nodes 3"]],
+        displacements: Sequence[Float[np.ndarray, "nodes 3"]] | None,
         tolerance: float = _ROUGH_TOLERANCE,
         held: Float[np.ndarray, " size"] | None = None,
         evaluation: Evaluation | None = None,
     ) -> Model:
-        """Fit with quadratic elements, from these displacements.
+        """Fit with quadratic elements, from these displacements or the equilibria of an evaluation.
 
         See `fit_shapes` for `held` and `evaluation`.
         """
@@ -262,8 +262,7 @@ class ShapeProblem:
     def _fit_further(self, model: Model, what: str, tolerance: float) -> Model:
         """Return a model fitted again to the present data, from its equilibria."""
         start = Start(what, model.fit.field, model.fit.z, model.errors)
-        evaluation = model.evaluation
-        return self.fit(start, evaluation.displacements, tolerance, evaluation=evaluation)
+        return self.fit(start, None, tolerance, evaluation=model.evaluation)
 
     def displacements(
         self, model: Model, z: Float[np.ndarray, " size"]

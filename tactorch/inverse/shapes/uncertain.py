@@ -87,8 +87,8 @@ def _with_ellipsoids(problem: ShapeProblem, model: Model) -> Model:
     for k in range(len(field.distorted)):
         field, z = as_ellipsoid(field, z, k)
     start = Start("balls as ellipsoids", field, z, model.errors)
-    evaluation = model.evaluation  # an ellipsoid without distortions is the ball
-    return problem.fit(start, evaluation.displacements, _TOLERANCE, evaluation=evaluation)
+    # An ellipsoid without distortions is the ball.
+    return problem.fit(start, None, _TOLERANCE, evaluation=model.evaluation)
 
 
 def _one_side(
