@@ -19,6 +19,7 @@ from torch import Tensor
 
 from tactorch.config import Registry
 from tactorch.errors import ConfigError
+from tactorch.fem.kernels import entry_slots
 from tactorch.linalg import SymmetricPattern
 from tactorch.mesh import TetMesh
 from tactorch.mesh.topology import LOCAL_EDGES
@@ -231,15 +232,16 @@ class Discretisation:
         # Pairs of nodes, not of unknowns, are searched: there are nine times fewer.
         local, nodes = self._local_pairs, self._node_pattern
         first, second = (self.nodes[:, pair].astype(np.int32) for pair in local)
-        begins = np.minimum(first, second)
-        places = 3 * (nodes.slots(first, second) - nodes.indptr[begins])
+        places = 3 * (nodes.slots(first, second) - nodes.indptr[np.minimum(first, second)])
         rows, cols = self.entry_rows_cols
         k = self.nodes.shape[1]
         pair = np.searchsorted(local[0] * k + local[1], rows // 3 * k + cols // 3)
-        row, col = (rows % 3).astype(np.int32), (cols % 3).astype(np.int32)
-        swapped = (first > second)[:, pair]
-        row, col = np.where(swapped, col, row), np.where(swapped, row, col)
-        return self.pattern.indptr[3 * begins[:, pair] + row] + places[:, pair] + col - row
+        slots = np.empty((len(self.nodes), len(pair)), dtype=np.int32)
+        entry_slots(
+            self.pattern.indptr, first, second, places.astype(np.int32), pair, rows % 3, cols % 3,
+            slots,
+        )  # fmt: skip
+        return slots
 
     @cached_property
     def from_linear(self) -> sp.csr_matrix | None:

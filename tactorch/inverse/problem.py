@@ -29,6 +29,7 @@ from tactorch.inverse.misfit import Misfit, Squares
 from tactorch.inverse.nuisance import Nuisance, NuisancePrior, PressModel
 from tactorch.inverse.probes import PressReadings, apparent_mpa, make_contacts
 from tactorch.linalg import SharedLease, SolverOptions, map_cases
+from tactorch.linalg.parallel import worker_count
 from tactorch.recording import Recording
 
 _MIN_MOMENT = 0.01  # of the loaded points along an axis, over the largest
@@ -530,9 +531,9 @@ class InverseProblem:
             take_over: Whether to take over the factorisations of `near`, which must then factor
                 again for its derivatives. It saves time and half the memory. Without effect where
                 presses share factorisations.
-            chained: Whether to solve the presses one after the other, each with the factorisation
-                of the one before. It needs the memory of one press, but gives no derivatives.
-                Without effect on the factorisations where presses share them.
+            chained: Whether to solve the presses on each core one after the other, each with the
+                factorisation of the one before. It needs the memory of one press a core, but gives
+                no derivatives. Without effect on the factorisations where presses share them.
             starts: Displacement to start from, each press, mm; by default those of `near`.
 
         Raises:
@@ -567,9 +568,15 @@ class InverseProblem:
         self.evaluations += 1
         count = len(self.data.observations)
         if chained:
-            solutions = [work(0)]
-            for i in range(1, count):
-                solutions.append(work(i, solutions[-1].newton))
+            chains = np.array_split(np.arange(count), min(worker_count(), count))
+
+            def in_turn(k: int) -> list[_PressSolution]:
+                found: list[_PressSolution] = []
+                for i in chains[k]:
+                    found.append(work(int(i), found[-1].newton if found else None))
+                return found
+
+            solutions = [one for part in map_cases(in_turn, len(chains)) for one in part]
         else:
             order = self._order
             found = map_cases(lambda k: work(int(order[k])), count)

@@ -76,12 +76,12 @@ class SymmetricPattern:
     @cached_property
     def _mirror(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Full pattern (indptr, indices), and the index of the stored value of each entry."""
-        upper = sp.csr_matrix(
-            (np.arange(1, self.nnz + 1), self.indices, self.indptr), shape=(self.size,) * 2
-        )
-        full = (upper + sp.triu(upper, k=1, format="csr").T).tocsr()
-        full.sort_indices()
-        return full.indptr, full.indices, full.data - 1
+        below = np.bincount(self.indices, minlength=self.size) - 1
+        counts = np.diff(self.indptr) + below
+        indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+        indices, source = np.empty((2, indptr[-1]), dtype=np.int32)
+        _mirror_entries(self.indptr, self.indices, indptr[:-1].copy(), indices, source)
+        return indptr, indices, source
 
     def full(self, values: Float[np.ndarray, " nnz"]) -> sp.csr_matrix:
         """Return both triangles as a SciPy matrix."""
@@ -109,6 +109,21 @@ class SymmetricPattern:
         scale = float(np.abs(values[self.diagonal]).mean())
         _apply_dirichlet(self.indptr, self.indices, values, fixed, scale, out)
         return out
+
+
+@no_type_check
+@numba.njit(nogil=True, cache=True)
+def _mirror_entries(indptr, indices, ends, columns, source):
+    """Set column and stored entry of both triangles; `ends` are the starts of the full rows."""
+    for i in range(indptr.shape[0] - 1):
+        # The columns below i were set by the rows before.
+        for k in range(indptr[i], indptr[i + 1]):
+            columns[ends[i]], source[ends[i]] = indices[k], k
+            ends[i] += 1
+        for k in range(indptr[i] + 1, indptr[i + 1]):
+            j = indices[k]
+            columns[ends[j]], source[ends[j]] = i, k
+            ends[j] += 1
 
 
 @no_type_check

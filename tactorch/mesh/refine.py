@@ -136,15 +136,20 @@ def refine(mesh: TetMesh, sizing: Sizing) -> Refinement:
     """
     points, tets = mesh.points, mesh.tets
     parents, ends = np.arange(mesh.n_tets), [np.empty((0, 2), dtype=np.int64)]
-    while True:
+
+    def is_large(tets: Tets) -> Bool[np.ndarray, " m"]:
         limits = _check_sizing(sizing(points[tets].mean(axis=1)), len(tets), mesh.diagonal)
-        large = edge_lengths(points, tets).max(axis=1) > limits
-        if not large.any():
-            break
+        return np.asarray(edge_lengths(points, tets).max(axis=1) > limits)
+
+    large = is_large(tets)
+    while large.any():
         bisection = bisect(points, tets, large)
-        tets, parents = bisection.tets, parents[bisection.origins]
+        origins, tets = bisection.origins, bisection.tets
+        parents, large = parents[origins], large[origins]
         points = np.concatenate((points, points[bisection.ends].mean(axis=1)))
         ends.append(bisection.ends)
+        is_half = np.bincount(origins)[origins] > 1
+        large[is_half] = is_large(tets[is_half])
         if len(tets) > MAX_ELEMENTS:
             raise ConfigError(
                 f"sizing takes more than {MAX_ELEMENTS:.0e} elements; return larger edge lengths,"

@@ -34,7 +34,10 @@ def test_pattern_is_the_upper_triangle_with_every_diagonal_entry_first_in_its_ro
 @settings(max_examples=60)
 def test_full_is_the_dense_matrix(system):
     pattern, values, dense, _ = system
-    np.testing.assert_array_equal(pattern.full(values).toarray(), dense)
+    full = pattern.full(values)
+    np.testing.assert_array_equal(full.toarray(), dense)
+    rows = np.split(full.indices, full.indptr[1:-1])
+    assert all((np.diff(row) > 0).all() for row in rows)  # as numerical solvers expect
 
 
 @given(systems(), st.integers(1, 3))

@@ -383,9 +383,10 @@ class _Model:
             sides: Side of each inclusion on which each element is, see `Conforming`.
             sites: Quadrature points.
         """
-        fractions = [
-            np.where(side == 0, sites.fraction_inside(shape), side < 0)
-            for shape, side in zip(self.shapes, sides, strict=True)
-        ]
+        fractions = []
+        for shape, side in zip(self.shapes, sides, strict=True):
+            fraction, crossed = (side < 0).astype(np.float64), np.flatnonzero(side == 0)
+            fraction[crossed] = sites.fraction_inside(shape, crossed)
+            fractions.append(fraction)
         field, z = self.fit.field, self.fit.z
         return np.exp(field.log_youngs_of(z, sites, fractions)).reshape(sites.shape)

@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy.polynomial.legendre import legvander
 from scipy.linalg import expm
 
@@ -47,7 +47,7 @@ class Sites:
     def of(assembly: Assembly) -> "Sites":
         """Return the volumes around the quadrature points of a body's elements."""
         mesh, rule = assembly.discretisation.mesh, assembly.discretisation.element.points
-        points = np.einsum("pc,mcd->mpd", samples_around(rule), mesh.points[mesh.tets])
+        points = samples_around(rule) @ mesh.points[mesh.tets]
         shape = assembly.weights.shape
         width = _WIDTH * np.cbrt(np.repeat(assembly.volumes, shape[1]))
         return Sites(points.reshape(shape[0] * shape[1], -1, 3), width, shape)
@@ -57,11 +57,13 @@ class Sites:
         """Centre of each volume, mm."""
         return self.points.mean(axis=1)
 
-    def fraction_inside(self, shape: "Ellipsoid") -> Float[np.ndarray, " elements"]:
-        """Return the fraction of each element inside an inclusion, by its sample points."""
-        inside = shape.contains(self.points.reshape(-1, 3))
-        fractions: np.ndarray = inside.reshape(self.shape[0], -1).mean(axis=1)
-        return fractions
+    def fraction_inside(
+        self, shape: "Ellipsoid", elements: Int[np.ndarray, " k"]
+    ) -> Float[np.ndarray, " k"]:
+        """Return the fraction of each of some elements inside an inclusion, by sample points."""
+        points = self.points.reshape(self.shape[0], -1, 3)[elements]
+        inside = shape.contains(points.reshape(-1, 3)).reshape(points.shape[:2])
+        return np.asarray(inside.mean(axis=1))
 
     @staticmethod
     def at(points: Float[np.ndarray, "n 3"]) -> "Sites":
@@ -382,7 +384,7 @@ class ShapeField:
     def _background(self, sites: Sites) -> Float[np.ndarray, "volumes k"]:
         """Derivative of the background's log-modulus by its parameters."""
         one = np.ones((len(sites.points), 1))
-        return np.hstack([one, self.modes_at(sites.centers)])
+        return np.hstack([one, self.modes_at(sites.centers)]) if len(self.waves) else one
 
     def log_youngs(self, z: Float[np.ndarray, " size"], sites: Sites) -> np.ndarray:
         """Return the log-modulus of each volume, log MPa."""
