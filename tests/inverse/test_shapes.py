@@ -13,6 +13,7 @@ from tactorch.inverse.objective import Objective
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes import Ellipsoid, ShapeReconstruction, ShapeState, find_shapes
+from tactorch.inverse.shapes import fit as shape_fit
 from tactorch.inverse.shapes.correction import Correction, _LoadSeries
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites, samples_around
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
@@ -489,6 +490,17 @@ def test_the_optimum_is_one_step_beyond_the_last_evaluated_parameters(problem, s
     assert after < 0.5 * before
     far, _ = fit_shapes(problem, field, start, sites=sites, max_iterations=0)
     np.testing.assert_array_equal(far.optimum, far.z)  # the step is long
+
+
+def test_a_step_that_does_not_lower_the_objective_is_not_added(problem, sites, monkeypatch):
+    field = ShapeField(PRIOR, (False,))
+    start = field.standard(np.array(VALUES[False]))
+    rough, _ = fit_shapes(problem, field, start, sites=sites, tolerance=0.4)
+    assert (rough.optimum != rough.z).any()
+    monkeypatch.setattr(shape_fit._State, "moved", lambda *args: None)
+    refused, _ = fit_shapes(problem, field, rough.z, sites=sites, tolerance=1e-9)
+    np.testing.assert_array_equal(refused.z, rough.z)
+    np.testing.assert_array_equal(refused.optimum, refused.z)
 
 
 def test_displacements_at_other_parameters_are_linearised(recording):

@@ -123,7 +123,7 @@ class ShapeFit:
         residuals: Residuals of all data.
         jacobian: Their derivatives by z.
         optimum: Parameters one Gauss-Newton step further, at which nothing is evaluated; z where
-            that step is long.
+            that step is long or does not lower the objective.
     """
 
     field: ShapeField
@@ -196,10 +196,10 @@ def fit_shapes(
             if trial and state.value - trial.value > _MIN_GAIN * state.predicted_fall(step):
                 break
             if predicted <= _ROUND_OFF:
-                return state.fit(problem), state.evaluation
+                return state.fit(problem, refused=True), state.evaluation
             damping = max(10.0 * damping, _RAISED_DAMPING)
         else:
-            break
+            return state.fit(problem, refused=True), state.evaluation
         state, damping = trial, max(0.1 * damping, _DAMPING)
     return state.fit(problem), state.evaluation
 
@@ -293,8 +293,8 @@ class _State:
         is_long = self.predicted_fall(step) > _ROUND_OFF * max(1.0, self.evaluation.chi2)
         return self.z if is_long else self._after(step)
 
-    def fit(self, problem: InverseProblem) -> ShapeFit:
-        """Return the fit with its posterior."""
+    def fit(self, problem: InverseProblem, refused: bool = False) -> ShapeFit:
+        """Return the fit with its posterior; a refused step does not lead to the optimum."""
         residuals = self.evaluation.residuals
         determinant = float(np.linalg.slogdet(self._hessian)[1]) + problem.data.log_determinant
         return ShapeFit(
@@ -307,5 +307,5 @@ class _State:
             0.5 * determinant,
             residuals,
             self._response[0],
-            self._optimum(),
+            self.z if refused else self._optimum(),
         )
