@@ -1,7 +1,8 @@
 """Active sampling with shapes, without inverse crime (Section V-C).
 
     python benchmarks/active_shapes.py [--seeds N] [--first-seed K] [--grids 6 9]
-        [--rules shapes random] [--presses N] [--workers N] [--cache FOLDER] [--out FOLDER]
+        [--rules shapes random] [--presses N] [--limit] [--workers N] [--cache FOLDER]
+        [--out FOLDER]
 
 A cube of 10 mm, 0.2 MPa, held at the bottom, with two balls of 1 MPa at unequal depths, drawn for
 each seed. A round finger of 2 mm radius presses its top at one of 25 places; its pressure is 30 kPa
@@ -35,6 +36,9 @@ from true_cases import OBJECTS, PRESSES, Body, Case, Contact, Presses, Truth, ma
 from tactorch.errors import TactorchError
 from tactorch.inverse import InverseProblem, Settings, find_shapes
 from tactorch.inverse.shapes import KeptRims, ShapeReconstruction
+from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.inverse.shapes.model import as_ellipsoid
+from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import Box, Sphere
 from tactorch.mesh.geometry import farthest_point_order
 from tactorch.phantoms import Phantom
@@ -46,6 +50,7 @@ SIDE_MM, BACKGROUND_MPA, LUMP_MPA = 10.0, 0.2, 1.0
 SENSOR_MM, PRESSURE_MPA = 2.0, 0.03
 PLACES_MM = (2.2, 3.6, 5.0, 6.4, 7.8)  # of the finger along x and y
 RULES = ("shapes", "random")
+KNOWN = "truth"  # rule that knows the object
 AIM = 2.0 / 3.0
 
 
@@ -57,11 +62,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--grids", type=int, nargs="+", default=(6, 9))
     parser.add_argument("--rules", nargs="+", choices=RULES, default=RULES)
     parser.add_argument("--presses", type=int, help="number of presses by a rule")
+    parser.add_argument("--limit", action="store_true", help="errors expected at the truth instead")
     parser.add_argument("--workers", type=int, default=1, help="number of processes")
     parser.add_argument("--cache", type=Path, help="folder of the noise-free presses")
     parser.add_argument("--out", type=Path, help="folder for active_shapes.json and .md")
     options = parser.parse_args(arguments)
     budget = options.presses or round(AIM * max(options.grids))
+    if options.limit:
+        options.rules = (KNOWN,)
     work = partial(
         run_object, grids=options.grids, rules=options.rules, budget=budget, cache=options.cache
     )
@@ -71,7 +79,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     lines = table(report)
     print("\n".join(lines))
     if options.out is not None:
-        write_results(options.out, "active_shapes", lines, report, PACKAGES)
+        name = "active_shapes_limit" if options.limit else "active_shapes"
+        write_results(options.out, name, lines, report, PACKAGES)
     print(json.dumps(report))
 
 
@@ -80,10 +89,11 @@ def run_object(
 ) -> dict[str, Any]:
     """Run every grid and rule on one object."""
     session = Session.of(seed, cache)
-    centers = np.array([contact.center_mm for contact in CONTACTS])
+    if KNOWN in rules:
+        return limit_of(session, seed, grids, budget)
     found: dict[str, Any] = {"grids": {}, "rules": {}}
     for size in grids:
-        places = [int(i) for i in farthest_point_order(centers, size, FIRST)]
+        places = session.grid(size)
         score, _ = session.score(places, None)
         found["grids"][str(size)] = score | {"places": places}
         print(f"# seed {seed}, grid of {size}: {_text(score)}", flush=True)
@@ -106,6 +116,50 @@ def run_rule(session: "Session", seed: int, rule: str, budget: int) -> list[dict
             places.append(int(np.random.default_rng([seed, len(places)]).choice(rest)))
         else:
             places.append(rest[int(session.expected_errors(shapes, places, rest).argmin())])
+
+
+def limit_of(session: "Session", seed: int, grids: Sequence[int], budget: int) -> dict[str, Any]:
+    """Return the errors expected at the truth, of grids and of presses chosen one by one."""
+    shapes = true_shapes(seed, session.recording)
+    blocks = session.derivatives(shapes)
+
+    def expected(places: Sequence[int], rest: Sequence[int]) -> np.ndarray:
+        design = ShapeDesign(shapes, session.recording.mesh, np.vstack([blocks[i] for i in places]))
+        return np.sqrt(design.expected_errors([blocks[i] for i in rest]))
+
+    found: dict[str, Any] = {"grids": {}, "rules": {KNOWN: []}}
+    for size in grids:
+        *places, last = session.grid(size)
+        error = float(expected(places, [last])[0])
+        found["grids"][str(size)] = {"error": error, "places": [*places, last]}
+    places = [FIRST]
+    while len(places) < budget:
+        rest = [i for i in range(len(CONTACTS)) if i not in places]
+        errors = expected(places, rest)
+        places.append(rest[int(errors.argmin())])
+        found["rules"][KNOWN].append({"error": float(errors.min()), "place": places[-1]})
+    alone = ShapeDesign(shapes, session.recording.mesh, blocks[FIRST])
+    nothing = np.zeros((1, session.recording.mesh.n_tets))
+    first = float(np.sqrt(alone.expected_errors([nothing])[0]))
+    found["rules"][KNOWN].insert(0, {"error": first, "place": FIRST})
+    print(f"# seed {seed}: places {places}", flush=True)
+    return found
+
+
+def true_shapes(seed: int, recording: Recording) -> ShapeReconstruction:
+    """Return the balls of an object as ellipsoids, with a posterior that is the prior."""
+    inclusions = make_body(seed).phantom.inclusions
+    field = ShapeField(ShapePrior.of(recording.mesh, BACKGROUND_MPA), (False,) * len(inclusions))
+    values = [np.array([np.log(BACKGROUND_MPA)])]
+    for ball, youngs in inclusions:
+        values.append(
+            np.array([*ball.center_mm, np.log(ball.radius_mm), np.log(youngs / BACKGROUND_MPA)])
+        )
+    z = field.standard(np.concatenate(values))
+    for k in range(len(inclusions)):
+        field, z = as_ellipsoid(field, z, k)
+    posterior = ShapePosterior(field, z, np.zeros(len(z)), np.eye(len(z)))
+    return ShapeReconstruction(field, z, posterior, 1.0, (50.0,) * len(inclusions), 50.0)
 
 
 class Session:
@@ -156,12 +210,21 @@ class Session:
         self, shapes: ShapeReconstruction, places: Sequence[int], rest: Sequence[int]
     ) -> np.ndarray:
         """Return the error that is expected after a press at each of the other places."""
-        mesh = self.recording.mesh
-        youngs = shapes.youngs_at(mesh.centroids)
-        jacobian = self._problem.evaluate(youngs).jacobian() * youngs
-        blocks = np.split(jacobian, self._problem.data.begins[1:])
-        design = ShapeDesign(shapes, mesh, np.vstack([blocks[i] for i in places]))
+        blocks = self.derivatives(shapes)
+        design = ShapeDesign(shapes, self.recording.mesh, np.vstack([blocks[i] for i in places]))
         return design.expected_errors([blocks[i] for i in rest])
+
+    def derivatives(self, shapes: ShapeReconstruction) -> list[np.ndarray]:
+        """Return the derivatives of the data of each candidate by log-moduli of elements."""
+        youngs = shapes.youngs_at(self.recording.mesh.centroids)
+        jacobian = self._problem.evaluate(youngs).jacobian() * youngs
+        return np.split(jacobian, self._problem.data.begins[1:])
+
+    @staticmethod
+    def grid(size: int) -> list[int]:
+        """Return the places of a uniform grid, the middle first."""
+        centers = np.array([contact.center_mm for contact in CONTACTS])
+        return [int(i) for i in farthest_point_order(centers, size, FIRST)]
 
 
 def make_body(seed: int) -> Body:
