@@ -23,7 +23,7 @@ The last line printed is one JSON object.
 import argparse
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -68,11 +68,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, help="folder for active_shapes.json and .md")
     options = parser.parse_args(arguments)
     budget = options.presses or round(AIM * max(options.grids))
-    if options.limit:
-        options.rules = (KNOWN,)
-    work = partial(
+    work: Callable[[int], dict[str, Any]] = partial(
         run_object, grids=options.grids, rules=options.rules, budget=budget, cache=options.cache
     )
+    if options.limit:
+        work = partial(limit_of, grids=options.grids, budget=budget, cache=options.cache)
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     runs = list(map_in_processes(work, seeds, options.workers))
     report = {"aim": AIM, "seeds": list(seeds), "runs": runs, "grids": judge(runs)}
@@ -89,8 +89,6 @@ def run_object(
 ) -> dict[str, Any]:
     """Run every grid and rule on one object."""
     session = Session.of(seed, cache)
-    if KNOWN in rules:
-        return limit_of(session, seed, grids, budget)
     found: dict[str, Any] = {"grids": {}, "rules": {}}
     for size in grids:
         places = session.grid(size)
@@ -118,30 +116,29 @@ def run_rule(session: "Session", seed: int, rule: str, budget: int) -> list[dict
             places.append(rest[int(session.expected_errors(shapes, places, rest).argmin())])
 
 
-def limit_of(session: "Session", seed: int, grids: Sequence[int], budget: int) -> dict[str, Any]:
+def limit_of(seed: int, grids: Sequence[int], budget: int, cache: Path | None) -> dict[str, Any]:
     """Return the errors expected at the truth, of grids and of presses chosen one by one."""
-    shapes = true_shapes(seed, session.recording)
-    blocks = session.derivatives(shapes)
+    session = Session.of(seed, cache)
+    mesh, shapes = session.recording.mesh, true_shapes(seed, session.recording)
+    blocks, design = (
+        session.derivatives(shapes),
+        ShapeDesign(shapes, mesh, np.zeros((1, mesh.n_tets))),
+    )
 
-    def expected(places: Sequence[int], rest: Sequence[int]) -> np.ndarray:
-        design = ShapeDesign(shapes, session.recording.mesh, np.vstack([blocks[i] for i in places]))
-        return np.sqrt(design.expected_errors([blocks[i] for i in rest]))
+    def expected(sets: Sequence[Sequence[int]]) -> np.ndarray:
+        data = [np.vstack([blocks[i] for i in places]) for places in sets]
+        return np.sqrt(design.expected_errors(data))
 
     found: dict[str, Any] = {"grids": {}, "rules": {KNOWN: []}}
     for size in grids:
-        *places, last = session.grid(size)
-        error = float(expected(places, [last])[0])
-        found["grids"][str(size)] = {"error": error, "places": [*places, last]}
-    places = [FIRST]
+        places = session.grid(size)
+        found["grids"][str(size)] = {"error": float(expected([places])[0]), "places": places}
+    places, choices = [], [FIRST]
     while len(places) < budget:
-        rest = [i for i in range(len(CONTACTS)) if i not in places]
-        errors = expected(places, rest)
-        places.append(rest[int(errors.argmin())])
+        errors = expected([[*places, i] for i in choices])
+        places.append(choices[int(errors.argmin())])
         found["rules"][KNOWN].append({"error": float(errors.min()), "place": places[-1]})
-    alone = ShapeDesign(shapes, session.recording.mesh, blocks[FIRST])
-    nothing = np.zeros((1, session.recording.mesh.n_tets))
-    first = float(np.sqrt(alone.expected_errors([nothing])[0]))
-    found["rules"][KNOWN].insert(0, {"error": first, "place": FIRST})
+        choices = [i for i in range(len(CONTACTS)) if i not in places]
     print(f"# seed {seed}: places {places}", flush=True)
     return found
 
