@@ -483,10 +483,12 @@ def test_the_optimum_is_one_step_beyond_the_last_evaluated_parameters(problem, s
     field = ShapeField(PRIOR, (False,))
     start = field.standard(np.array(VALUES[False]))
     close, _ = fit_shapes(problem, field, start, sites=sites, tolerance=1e-6)
-    rough, _ = fit_shapes(problem, field, start, sites=sites, tolerance=0.4)
     deviations = np.sqrt(np.diag(close.covariance))
+    shift = 0.6 * close.covariance[:, -1] / deviations[-1]  # a predicted fall of 0.18
+    rough, _ = fit_shapes(problem, field, close.z + shift, sites=sites, max_iterations=0)
     before, after = (np.abs((z - close.z) / deviations).max() for z in (rough.z, rough.optimum))
-    assert before > 0.05
+    assert before == pytest.approx(0.6)
+    # The objective is curved, and `close` ends where errors of equilibria hide a further descent.
     assert after < 0.5 * before
     far, _ = fit_shapes(problem, field, start, sites=sites, max_iterations=0)
     np.testing.assert_array_equal(far.optimum, far.z)  # the step is long
