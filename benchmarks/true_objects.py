@@ -2,7 +2,7 @@
 
     python benchmarks/true_objects.py [--set open|held_out|empty|random|all] [--only NAME...]
         [--method default|map|shapes] [--settings KEY=VALUE...] [--check] [--cache FOLDER]
-        [--refined FACTOR] [--seeds N] [--out FOLDER] [--workers N]
+        [--refined FACTOR] [--seeds N] [--out FOLDER] [--resume FOLDER] [--workers N]
 
 Each case is an object (balls of several depths, sizes and contrasts, a cone, an ellipsoid, two
 balls close together, a lump in layers, a dome and a breast with a lesion, bodies without
@@ -13,16 +13,18 @@ outline alone. Settings are the same for all cases.
 
 The map is compared with the analytic object on 36^3 voxels of the bounding box, those outside the
 body excluded. Half of the cases are held out, to be run once with `--set held_out`; `--set empty`
-has forty bodies without inclusion, and `--set random` a hundred balls and ellipsoids, for the
+has forty bodies without inclusion, and `--set random` 150 balls and ellipsoids, for the
 coverage of intervals. `--seeds` repeats each case with other noise. `--check` refines each truth
 mesh once more and compares the change of the displacements with the noise. `--refined` bisects the
 recording's mesh before a method gets it, down to its mean edge length times the factor. Noise-free
-recordings are cached.
+recordings are cached. `--resume` keeps the scores of each case in a folder, and runs only cases
+that are not there: use a new folder for each version of the code.
 
 The last line printed is one JSON object.
 """
 
 import argparse
+import hashlib
 import json
 import sys
 import time
@@ -41,6 +43,7 @@ from scipy.special import ndtri
 from true_cases import CASES, EMPTY_CASES, RANDOM_CASES, Case, Truth, make_recording
 
 from tactorch.errors import TactorchError
+from tactorch.files import write_json
 from tactorch.findings import find_lumps
 from tactorch.inverse import Settings, invert, make_objective
 from tactorch.inverse.shapes import find_shapes
@@ -211,6 +214,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=1, help="number of processes")
     parser.add_argument("--cache", type=Path, help="folder of the noise-free recordings")
     parser.add_argument("--out", type=Path, help="folder for true_objects[_SET].json and .md")
+    parser.add_argument("--resume", type=Path, help="folder of the scores of finished cases")
     options = parser.parse_args(arguments)
     cases = with_seeds(choose_cases(options.set, options.only), options.seeds)
     if options.list:
@@ -226,6 +230,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         work = partial(
             run, method=method, settings=settings, cache=options.cache, refined=options.refined
         )
+        if options.resume is not None:
+            setup = (options.method, options.settings, options.refined)
+            work = partial(run_once, work=work, folder=options.resume, setup=setup)
         for case, scores in zip(cases, map_in_processes(work, cases, options.workers), strict=True):
             results[case.name] = scores
             lines.append(_row(case.name, scores))
@@ -319,6 +326,27 @@ def run(
     scores = score(Truth.of(case.body), answer)
     # The table has the cases in order: a long one would hide those that have ended.
     print(_row(case.name, scores), file=sys.stderr, flush=True)
+    return scores
+
+
+def run_once(
+    case: Case, *, work: Callable[[Case], dict[str, Any]], folder: Path, setup: tuple[Any, ...]
+) -> dict[str, Any]:
+    """Return the scores that an earlier run left in the folder, or run the case and leave them.
+
+    Args:
+        case: The case.
+        work: Computes its scores.
+        folder: Has a file for each finished case.
+        setup: Method, settings and refinement; the scores of another setup are other files.
+    """
+    digest = hashlib.sha256(repr((case, setup)).encode()).hexdigest()[:12]
+    path = folder / f"{case.name}-{digest}.json"
+    if path.exists():
+        print(f"{case.name}: from {path}", file=sys.stderr, flush=True)
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    scores = work(case)
+    write_json(path, scores)
     return scores
 
 

@@ -282,6 +282,37 @@ def test_a_killed_worker_leaves_the_results_before(
     assert len(list(tmp_path.glob("true_objects_all.*"))) == 2
 
 
+def test_an_interrupted_run_resumes(
+    tiny: ModuleType,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    ran: list[str] = []
+
+    def run(case: Any, **options: Any) -> dict[str, Any]:
+        if len(ran) == 2 and not interrupted:
+            interrupted.append(case.name)
+            raise KeyboardInterrupt
+        ran.append(case.name)
+        return {"error": f"refined {options['refined']}", "seconds": 0.0}
+
+    interrupted: list[str] = []
+    monkeypatch.setattr(tiny, "run", run)
+    arguments = ["--set", "all", "--resume", str(tmp_path)]
+    names = [case.name for case in tiny.CASES]
+    tiny.main(arguments)
+    assert ran == names[:2]
+    tiny.main(arguments)
+    assert ran == names  # the first two only once
+    result = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert list(result["cases"]) == names
+    tiny.main([*arguments, "--refined", "0.5"])  # another setup has scores of its own
+    assert ran == [*names, *names]
+    result = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert result["cases"][names[0]]["error"] == "refined 0.5"
+
+
 def test_recordings_are_cached(
     tiny: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
