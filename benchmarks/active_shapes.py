@@ -120,10 +120,8 @@ def limit_of(seed: int, grids: Sequence[int], budget: int, cache: Path | None) -
     """Return the errors expected at the truth, of grids and of presses chosen one by one."""
     session = Session.of(seed, cache)
     mesh, shapes = session.recording.mesh, true_shapes(seed, session.recording)
-    blocks, design = (
-        session.derivatives(shapes),
-        ShapeDesign(shapes, mesh, np.zeros((1, mesh.n_tets))),
-    )
+    blocks = session.derivatives(shapes)
+    design = ShapeDesign(shapes, mesh, np.zeros((1, mesh.n_tets)))
 
     def expected(sets: Sequence[Sequence[int]]) -> np.ndarray:
         data = [np.vstack([blocks[i] for i in places]) for places in sets]
