@@ -1,6 +1,6 @@
-"""Bias of the shape model at the true parameters of the random objects of `true_objects.py`.
+"""Bias of the shape model at the true parameters of objects of `true_objects.py`.
 
-    python benchmarks/shape_bias.py [--count 8] [--only OBJECT...] [--cache FOLDER] [--workers N]
+    python benchmarks/shape_bias.py [--count 8] [--only NAME...] [--cache FOLDER] [--workers N]
         [--out FOLDER]
 
 The model of `find_shapes` is evaluated at the true ball or ellipsoid on the recording's mesh, with
@@ -9,6 +9,9 @@ presses without noise, which would be zero if the model and the solution of the 
 is given for the logarithms of modulus and radius and for the centre, beside the standard deviation
 for the white noise of the case. `z` is the same step for presses with noise, over its deviation:
 the error of an efficient estimator.
+
+Cases are the first random objects, or those whose name or object is given: any with one ball or
+ellipsoid in a uniform body, whose forces and places are right.
 
 The last line printed is one JSON object.
 """
@@ -23,7 +26,7 @@ from typing import Any
 
 import numpy as np
 from machine import OtherWork, map_in_processes, write_results
-from true_cases import Case, make_recording, random_cases
+from true_cases import CASES, RANDOM_CASES, Case, make_recording
 
 from tactorch.inverse.data import DataModel
 from tactorch.inverse.problem import InverseProblem
@@ -46,12 +49,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the cases and print the table and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--count", type=int, default=8, help="number of cases, from the first")
-    parser.add_argument("--only", nargs="+", metavar="OBJECT", help="objects by name")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="cases or objects by name")
     parser.add_argument("--cache", type=Path, help="folder of the noise-free recordings")
     parser.add_argument("--workers", type=int, default=1, help="number of processes")
     parser.add_argument("--out", type=Path, help="folder for shape_bias.json and .md")
     options = parser.parse_args(arguments)
-    cases = random_cases(options.count, options.only)
+    cases = choose_cases(options.count, options.only)
     meter, lines, results = OtherWork(), [_HEADER], {}
     print(_HEADER, flush=True)
     work = partial(run, cache=options.cache)
@@ -63,6 +66,30 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.out is not None:
         write_results(options.out, "shape_bias", lines, result, PACKAGES)
     print(json.dumps(result))
+
+
+def choose_cases(count: int, only: Sequence[str] | None) -> tuple[Case, ...]:
+    """Return the first random cases, or those whose name or object is given."""
+    if not only:
+        return RANDOM_CASES[:count]
+    chosen = []
+    for name in only:
+        named = [case for case in (*CASES, *RANDOM_CASES) if name in (case.name, case.object)]
+        if not named:
+            raise SystemExit(f"unknown case or object {name}.")
+        chosen += [case for case in named if _has_true_parameters(case)]
+        if not any(map(_has_true_parameters, named)):
+            raise SystemExit(f"{name} is not one ball or ellipsoid in a uniform body.")
+    return tuple(chosen)
+
+
+def _has_true_parameters(case: Case) -> bool:
+    """Whether some shape is the object of a case, and its presses are as stated."""
+    phantom = case.body.phantom
+    if case.fault or len(phantom.inclusions) != 1 or not isinstance(phantom.youngs_mpa, float):
+        return False
+    shape = phantom.inclusions[0][0]
+    return isinstance(shape.of if isinstance(shape, Rotated) else shape, Sphere | Ellipsoid)
 
 
 def run(case: Case, cache: Path | None) -> dict[str, Any]:
