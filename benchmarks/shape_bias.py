@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 from machine import OtherWork, map_in_processes, write_results
-from true_cases import CASES, RANDOM_CASES, Case, make_recording
+from true_cases import CASES, RANDOM_CASES, Case, make_recording, random_cases
 
 from tactorch.inverse.data import DataModel
 from tactorch.inverse.problem import InverseProblem
@@ -71,15 +71,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def choose_cases(count: int, only: Sequence[str] | None) -> tuple[Case, ...]:
     """Return the first random cases, or those whose name or object is given."""
     if not only:
-        return RANDOM_CASES[:count]
-    chosen = []
+        return random_cases(count, None)
+    chosen: list[Case] = []
     for name in only:
         named = [case for case in (*CASES, *RANDOM_CASES) if name in (case.name, case.object)]
         if not named:
             raise SystemExit(f"unknown case or object {name}.")
-        chosen += [case for case in named if _has_true_parameters(case)]
-        if not any(map(_has_true_parameters, named)):
+        usable = [case for case in named if _has_true_parameters(case)]
+        if not usable:
             raise SystemExit(f"{name} is not one ball or ellipsoid in a uniform body.")
+        chosen += usable
     return tuple(chosen)
 
 
