@@ -36,7 +36,14 @@ from machine import peak_gib
 
 from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.fem.transfer import Transfer
-from tactorch.inverse import InverseProblem, NewtonCG, Settings, best_uniform, homogeneous, invert
+from tactorch.inverse import (
+    InverseProblem,
+    NewtonCG,
+    Settings,
+    best_uniform,
+    homogeneous,
+    invert_map,
+)
 from tactorch.mesh import TetMesh, locate
 from tactorch.mesh.geometry import signed_volumes
 from tactorch.metrics import find_inclusion, position_error_mm, scores
@@ -196,7 +203,7 @@ def inverted(recording: Recording, picture: Path | None, limit: float | None) ->
     settings = Settings(optimizer=NewtonCG(), residual_model_error_fraction=LEFT, max_seconds=limit)
     blind = replace(recording, truth=None)
     began = time.perf_counter()
-    found = invert(blind, settings, start_mpa=homogeneous, show_progress=False)
+    found = invert_map(blind, settings, start_mpa=homogeneous, show_progress=False)
     seconds = time.perf_counter() - began  # with the model's error, which comes before the search
     lesion = find_inclusion(recording.mesh, found.youngs)
     truth = recording.truth

@@ -18,7 +18,7 @@ from tactorch.inverse import (
     Settings,
     Smoothness,
     homogeneous,
-    invert,
+    invert_map,
     make_objective,
 )
 from tactorch.inverse.fields import ElementField
@@ -121,7 +121,7 @@ def judge_piecewise(divisions: int, seed: int, index: int, *, same_mesh: bool) -
 def _infer(recording: Recording) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Invert by default settings; return mean and deviation by each posterior."""
     settings = Settings()
-    found = invert(recording, settings, start_mpa=homogeneous, show_progress=False)
+    found = invert_map(recording, settings, start_mpa=homogeneous, show_progress=False)
     objective = make_objective(recording, settings)
     point = objective.at(objective.start(found.youngs))
     weight = found.history[-1]["weight"]

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from machine import OtherWork, describe_machine, map_in_processes
 
-from tactorch.inverse import Settings, invert
+from tactorch.inverse import Settings, invert_map
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.shapes import find_shapes
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
@@ -111,7 +111,7 @@ def run_cell(model: str, cell: Cell, prior: str, *, same_mesh: bool) -> dict[str
     truth = recording.truth
     assert truth is not None
     blind, settings = replace(recording, truth=None), Settings(regularization=prior)
-    found = invert(blind, settings, start_mpa=0.2, show_progress=False)
+    found = invert_map(blind, settings, start_mpa=0.2, show_progress=False)
     all_scores = scores(recording.mesh, found.youngs, truth)
     own = {short: all_scores[name] for short, name in METRICS.items()}
     more = {name: all_scores[name] for name in ("position_error_mm", "contrast_recovery", "dice")}

@@ -33,7 +33,7 @@ import numpy as np
 from machine import OtherWork, write_results
 
 from tactorch.cli.live_view import Screen
-from tactorch.inverse import Settings, invert
+from tactorch.inverse import Settings, invert_map
 from tactorch.mesh import box_mesh
 from tactorch.metrics import find_inclusion, scores
 from tactorch.phantoms import make_phantom
@@ -164,7 +164,7 @@ def session(name: str, rule: str) -> dict[str, Any]:
         folder, path = Path(place) / "run", Path(place) / "session.h5"
         folder.mkdir()
         count = len(recording.presses)
-        options = LoopOptions(poll_seconds=0.05, max_presses=count, shapes=False)
+        options = LoopOptions(poll_seconds=0.05, max_presses=count)
         with Robot(folder, path, recording) as robot:
             suggester = Suggester(Settings(), SuggestOptions(rule=rule))
             ended = SamplingLoop(
@@ -177,11 +177,11 @@ def session(name: str, rule: str) -> dict[str, Any]:
             ).run()
     assert ended.update is not None
     before = time.perf_counter()
-    whole = invert(recording, show_progress=False)
+    whole = invert_map(recording, show_progress=False)
     whole_s = time.perf_counter() - before
     live = ended.update.youngs
     before = time.perf_counter()
-    invert(recording, start_mpa=live, show_progress=False)
+    invert_map(recording, start_mpa=live, show_progress=False)
     again_s = time.perf_counter() - before
     presses = [row for row in robot.rows if not row["at_rest"]]
     quiet = [row for row in presses if row["stolen"] is not None and row["stolen"] <= QUIET]

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from machine import OtherWork, describe_machine
 
-from tactorch.inverse import NuisancePrior, Reconstruction, Settings, invert
+from tactorch.inverse import NuisancePrior, Reconstruction, Settings, invert_map
 from tactorch.metrics import scores
 from tactorch.phantoms import make_phantom
 from tactorch.recording import MaterialSpec, Recording
@@ -124,7 +124,7 @@ def judge(true: Recording, seen: Recording, free: tuple[str, ...]) -> dict[str, 
     truth = true.truth
     assert truth is not None
     settings = Settings(nuisance=NuisancePrior(**{name: DEVIATIONS[name] for name in free}))
-    found = invert(replace(seen, truth=None, check_units=False), settings, show_progress=False)
+    found = invert_map(replace(seen, truth=None, check_units=False), settings, show_progress=False)
     own = scores(true.mesh, found.youngs, truth)
     share = true.mesh.volumes / true.mesh.volumes.sum()
     log_error = np.log(found.youngs / truth)

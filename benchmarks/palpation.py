@@ -31,7 +31,7 @@ from tactorch.fem import Supports
 from tactorch.fem.contact.pressures import ball_force
 from tactorch.fem.indentation import BallPlace, Indentation
 from tactorch.importers import import_palpation
-from tactorch.inverse import Settings, invert
+from tactorch.inverse import Settings, invert_map
 from tactorch.inverse.palpation import PALPATION_ELEMENT
 from tactorch.inverse.problem import make_body
 from tactorch.inverse.starts import homogeneous
@@ -212,7 +212,7 @@ def run(path: Path, *, sparse: bool, max_seconds: float | None) -> dict[str, obj
     test = [probes[n] for n in numbers if n not in kept]
     first = float(np.mean([p.forces[0] for p in train]))
     began = time.perf_counter()
-    result = invert(recording, Settings(max_seconds=max_seconds), start_mpa=homogeneous)
+    result = invert_map(recording, Settings(max_seconds=max_seconds), start_mpa=homogeneous)
     seconds = time.perf_counter() - began
     predicted = by_map(recording, result.youngs, [*train, *test], first)
     methods = {

@@ -25,7 +25,7 @@ import numpy as np
 from machine import OtherWork, describe_machine
 
 from tactorch.importers import import_published
-from tactorch.inverse import TNC, GaussNewton, InverseProblem, Settings, invert
+from tactorch.inverse import TNC, GaussNewton, InverseProblem, Settings, invert_map
 from tactorch.metrics import pearson, rmse_mpa, scores, ssim_1d
 from tactorch.recording import Recording
 
@@ -162,7 +162,7 @@ def _invert(
 ) -> Run:
     """Invert, keeping each map; they are scored after the clock has stopped."""
     kept: list[tuple[float, np.ndarray]] = []
-    found = invert(
+    found = invert_map(
         recording,
         settings,
         start_mpa=START_MPA,

@@ -26,7 +26,7 @@ from typing import Any
 
 from machine import describe_machine, peak_gib
 
-from tactorch.inverse import NewtonCG, Settings, invert
+from tactorch.inverse import NewtonCG, Settings, invert_map
 from tactorch.mesh import box_mesh
 from tactorch.metrics import position_error_mm, scores
 from tactorch.phantoms import make_phantom
@@ -120,7 +120,7 @@ def child(*arguments: str) -> str:
 def inverted(recording: Recording, max_seconds: float | None = None) -> dict[str, Any]:
     """Invert from 0.2 MPa; return the figures, with the peak memory of this process."""
     settings = Settings(optimizer=NewtonCG(), max_seconds=max_seconds)
-    result = invert(recording, settings, start_mpa=_START_MPA, show_progress=False)
+    result = invert_map(recording, settings, start_mpa=_START_MPA, show_progress=False)
     figures: dict[str, Any] = {
         "elements": recording.mesh.n_tets,
         "unknowns": 3 * recording.mesh.n_points,

@@ -61,7 +61,7 @@ threading.setprofile(depth)
 from tactorch.cli import main
 try:
     main(["invert", "recording=" + sys.argv[1], "run_dir=" + sys.argv[2], "plots=false",
-          "find=false", "optimizer.max_iterations=1"])
+          "method=map", "optimizer.max_iterations=1"])
 except SystemExit:
     pass
 sys.setprofile(None)

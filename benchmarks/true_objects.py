@@ -45,7 +45,7 @@ from true_cases import CASES, EMPTY_CASES, RANDOM_CASES, Case, Truth, make_recor
 from tactorch.errors import TactorchError
 from tactorch.files import write_json
 from tactorch.findings import find_lumps
-from tactorch.inverse import Settings, invert, make_objective
+from tactorch.inverse import Settings, invert_map, make_objective
 from tactorch.inverse.shapes import find_shapes
 from tactorch.mesh import TetMesh, locate
 from tactorch.recording import Recording, refine_recording
@@ -120,7 +120,7 @@ def invert_without_deviation(recording: Recording, settings: Settings) -> Answer
 
 def _invert(recording: Recording, settings: Settings, *, with_deviation: bool) -> Answer:
     began = time.perf_counter()
-    result = invert(recording, settings, show_progress=False)
+    result = invert_map(recording, settings, show_progress=False)
     seconds = time.perf_counter() - began
     mesh = recording.mesh
     lumps = tuple(

@@ -34,7 +34,7 @@ from tactorch.cli.compose import compose_options
 from tactorch.cli.generate import make_recipe
 from tactorch.generation import Sample, make_sample
 from tactorch.importers import import_published
-from tactorch.inverse import Reconstruction, Settings, homogeneous, invert
+from tactorch.inverse import Reconstruction, Settings, homogeneous, invert_map
 from tactorch.learning.surrogate import SurrogateStart
 from tactorch.metrics import scores
 from tactorch.recording import Recording
@@ -93,7 +93,7 @@ def compare(name: str, recording: Recording, start: SurrogateStart) -> dict[str,
         "about": (without_prediction(start), about),
     }
     results = {
-        kind: invert(recording, settings, start_mpa=first, show_progress=False)
+        kind: invert_map(recording, settings, start_mpa=first, show_progress=False)
         for kind, (first, settings) in runs.items()
     }
     target = _TOLERANCE * max(1.0, *(one.history[-1]["chi2"] for one in results.values()))

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from tactorch.fem import SoftBody, Supports, make_material
-    from tactorch.findings import build_finding, find, find_lump
     from tactorch.importers import import_published
-    from tactorch.inverse import GaussNewton, Reconstruction, Settings, find_shapes, invert
+    from tactorch.inverse import GaussNewton, Reconstruction, Settings, find_lump, invert
     from tactorch.loading import load
     from tactorch.mesh import TetMesh, read_mesh, tetrahedralize
     from tactorch.metrics import find_inclusion, scores
@@ -20,10 +19,9 @@ if TYPE_CHECKING:
     from tactorch.simulation import PressPlan, simulate
 
 _HOMES = {
-    "tactorch.findings": ("find", "find_lump", "build_finding"),
     "tactorch.fem": ("SoftBody", "Supports", "make_material"),
     "tactorch.importers": ("import_published",),
-    "tactorch.inverse": ("GaussNewton", "Reconstruction", "Settings", "find_shapes", "invert"),
+    "tactorch.inverse": ("GaussNewton", "Reconstruction", "Settings", "find_lump", "invert"),
     "tactorch.loading": ("load",),
     "tactorch.mesh": ("TetMesh", "read_mesh", "tetrahedralize"),
     "tactorch.metrics": ("find_inclusion", "scores"),
@@ -45,11 +43,8 @@ __all__ = [
     "SoftBody",
     "Supports",
     "TetMesh",
-    "build_finding",
-    "find",
     "find_inclusion",
     "find_lump",
-    "find_shapes",
     "import_published",
     "invert",
     "load",

@@ -98,7 +98,7 @@ DATASET = (
 COMMANDS = {
     "simulate": (*PRESS, "mesh=coarse", "out=out.h5"),
     "generate": (*DATASET, "out=out"),
-    "invert": ("recording=case.h5", "plots=false", "find=false", "optimizer.max_iterations=1"),
+    "invert": ("recording=case.h5", "plots=false", "method=map", "optimizer.max_iterations=1"),
     "live": ("recording=case.h5", "plots=false", "shapes=false", "patience_seconds=1"),
     "train": (
         "data.folder=data", "data.source=truth", "data.voxels=6", "data.shares=[0.5,0.25,0.25]",

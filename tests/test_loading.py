@@ -9,7 +9,7 @@ import tactorch
 from tactorch.errors import FileError, MeshError, RecordingError
 from tactorch.files import write_json
 from tactorch.generation import MeshSizes, Recipe, SampleSet, generate
-from tactorch.inverse import Settings, invert
+from tactorch.inverse import Settings, invert_map
 from tactorch.mesh import TetMesh, box_mesh, write_mesh, write_surface
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
@@ -28,7 +28,7 @@ def test_recordings_reconstructions_and_runs(recording: Recording, tmp_path: Pat
     loaded = tactorch.load(tmp_path / "presses.h5")
     assert isinstance(loaded, Recording)
     np.testing.assert_array_equal(loaded.mesh.points, recording.mesh.points)
-    result = invert(recording, Settings(max_seconds=20.0))
+    result = invert_map(recording, Settings(max_seconds=20.0))
     result.save(tmp_path / "reconstruction.h5")
     for path in (tmp_path / "reconstruction.h5", tmp_path):
         again = tactorch.load(path)

@@ -23,7 +23,7 @@ from typing import Any, Literal
 
 from tactorch.cli.console import log, log_text
 from tactorch.cli.live_view import Screen, finding_text
-from tactorch.cli.outputs import score_table
+from tactorch.cli.outputs import fields_of, score_table
 from tactorch.cli.robot import RobotOptions, make_session
 from tactorch.cli.settings import CommandOptions, UnitCheck, run_folder, select
 from tactorch.config import option
@@ -126,7 +126,7 @@ def _run_robot(options: LiveOptions) -> LoopResult:
         suggest = replace(suggest, rule=LumpPosition())
     with Screen(out, path, plots=options.plots) as screen:
         session, draft = make_session(options.presser, options.robot, options.stop, out, screen)
-        loop = replace(select(options, LoopOptions), shapes=True)
+        settings, loop = replace(settings, method="inclusions"), select(options, LoopOptions)
         result = press_until_known(session, settings, options=loop, suggest=suggest, draft=draft)
         screen.ended(result)
     for place, reason in session.failed.items():
@@ -141,7 +141,7 @@ def _report(result: LoopResult) -> LoopResult:
     if update is not None:
         log.info("%s", finding_text(update))
         if update.recording.truth is not None:
-            log_text(score_table(update.recording, {"live": update.youngs})[1])
+            log_text(score_table(update.recording, fields_of(update.result))[1])
     log.info("results: %s", run_folder() / PAGE)
     return result
 

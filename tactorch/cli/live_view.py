@@ -12,13 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tactorch.cli.console import is_no_iteration, log, terminal_log
-from tactorch.findings import Status
-from tactorch.findings.text import (
-    describe_finding,
-    headline,
-    summarize_finding,
-    summarize_plain,
-)
+from tactorch.inverse.result.text import describe, headline, summarize_finding, summarize_plain
 from tactorch.progress import without_progress
 from tactorch.report import Run
 from tactorch.report.content import RunReport
@@ -130,7 +124,7 @@ class Screen(Observer):
         from tactorch.viz.slices import live_figure
 
         patch = None if update.suggestion is None else update.suggestion.patch
-        lump = next(iter(update.finding.lumps), None)
+        lump = next(iter(update.result.lumps), None)
         figure = live_figure(
             update.recording.mesh,
             update.youngs,
@@ -189,20 +183,13 @@ class Screen(Observer):
 
 def _headline(update: Update | None) -> str:
     """Return the finding in one line."""
-    if update is None:
-        return "No press yet"
-    if update.finding.status is Status.UNKNOWN:
-        return "The presses cannot tell whether there is an inclusion"
-    count = len(update.finding.lumps)
-    first = update.finding.lumps[0].inclusion if count else None
-    return headline(first) if count < 2 else f"{count} inclusions"
+    return "No press yet" if update is None else headline(update.result)
 
 
 def _report(update: Update, folder: Path, name: str) -> RunReport:
-    """Return the map and the finding for the viewer; the truth is not shown."""
+    """Return the result for the viewer; the truth is not shown."""
     recording = replace(update.recording, truth=None, reference=None, check_units=False)
-    run = Run(folder, name, update.solution.result, recording, "", {}, "", "")
-    return RunReport(run, update.finding)
+    return RunReport(Run(folder, name, update.result, recording, "", {}, "", ""))
 
 
 def _next_press(patch: Any) -> NextPress:
@@ -211,7 +198,7 @@ def _next_press(patch: Any) -> NextPress:
 
 def finding_text(update: Update) -> str:
     """Return the finding of an update, and of how many presses it is if not of all."""
-    return describe_finding(update.finding, update.finding_presses, update.entry["press"])
+    return describe(update.result, update.result_presses, update.entry["press"])
 
 
 def _is_event(record: logging.LogRecord) -> bool:

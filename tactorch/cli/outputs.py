@@ -1,6 +1,5 @@
-"""Results of a run: files, pictures, numbers and a summary."""
+"""Results of a run: files, pictures, numbers and a summary, all of one result."""
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,28 +11,22 @@ from tactorch.cli.console import Table, log, log_text
 from tactorch.cli.resume import CHECKPOINT
 from tactorch.errors import FileError
 from tactorch.files import write_file, write_json
-from tactorch.findings import SHAPES, Finding, find_lump
-from tactorch.findings.text import summarize_inclusion
-from tactorch.inverse import NuisanceEstimate, Reconstruction
+from tactorch.inverse import NuisanceEstimate, Reconstruction, Settings, find_lump
+from tactorch.inverse.result.text import describe
 from tactorch.mesh import TetMesh
-from tactorch.metrics import Inclusion, scores
+from tactorch.metrics import scores
 from tactorch.recording import Recording
+from tactorch.uncertainty import compute_posterior
+from tactorch.uncertainty.select import UNCOMPUTABLE
 
 History = Sequence[Mapping[str, Any]]
 
-# Results in the folder of an inversion: its own, and those of other commands.
+#: Results in the folder of an inversion: its own, those of other commands and of earlier versions.
 _RESULTS = (
-    *("reconstruction.h5", "reconstruction.vtu", "slices.png", "convergence.png", "summary.json"),
-    *(
-        "summary.txt",
-        CHECKPOINT,
-        "finding.txt",
-        "finding.json",
-        SHAPES,
-        "shapes.png",
-        "report.html",
-    ),
-)
+    "reconstruction.h5", "reconstruction.vtu", "slices.png", "convergence.png", "summary.json",
+    "summary.txt", CHECKPOINT, "finding.txt", "finding.json", "scores.json", "report.html",
+    "shapes.json", "shapes.png",
+)  # fmt: skip
 
 
 def score_table(
@@ -51,6 +44,12 @@ def score_table(
     return values, Table(["", *values], rows)
 
 
+def fields_of(result: Reconstruction) -> dict[str, Float[np.ndarray, " m"]]:
+    """Return the moduli of each element of a result, and of its other description, by name."""
+    fields = {"reconstruction": result.youngs}
+    return fields if result.other is None else fields | {result.other.name: result.other.youngs}
+
+
 def remove_results(out: Path, resume: Path | None) -> None:
     """Remove the results of an earlier run: a killed run must not seem to have them."""
     for path in (out / name for name in _RESULTS):
@@ -58,119 +57,111 @@ def remove_results(out: Path, resume: Path | None) -> None:
             path.unlink(missing_ok=True)
 
 
+def with_uncertainty(
+    result: Reconstruction, recording: Recording, settings: Settings
+) -> Reconstruction:
+    """Return a result whose lumps have intervals; those of inclusions have them already."""
+    if result.shapes is not None or not result.lumps:
+        return result
+    log.info("Solving the presses again for the uncertainty of the element map ...")
+    try:
+        return result.with_posterior(recording, compute_posterior(recording, result, settings))
+    except UNCOMPUTABLE as error:
+        reason = str(error).rstrip(".") or "not enough memory"
+        return result.with_warning(f"The intervals cannot be computed ({reason}).")
+
+
 def write_outputs(
     out: Path,
     recording: Recording,
-    reconstruction: Reconstruction,
+    result: Reconstruction,
     *,
     source: str,
     others: Mapping[str, History] | None = None,
     plots: bool = True,
 ) -> None:
-    """Write map, pictures and summary of an inversion; print the summary."""
-    reconstruction.save(out / "reconstruction.h5")
-    reconstruction.write_vtu(out / "reconstruction.vtu", recording.truth)
-    log_text("", *write_summary(out, recording, reconstruction, source=source))
+    """Write files, pictures and summary of a result; print the summary."""
+    result.save(out / "reconstruction.h5")
+    result.write_vtu(out / "reconstruction.vtu", recording.truth)
+    summary, parts = summarise(recording, result, source), describe_run(recording, result)
+    write_json(out / "summary.json", summary)
+    write_json(out / "finding.json", summary["finding"])
+    texts = [part.text() if isinstance(part, Table) else part for part in parts]
+    write_file(out / "summary.txt", "\n".join(texts) + "\n")
+    write_file(out / "finding.txt", f"{describe(result)}\n")
+    log_text("", *parts)
     if plots:
-        for path in _draw(out, recording, reconstruction, others or {}):
+        for path in _draw(out, recording, result, others or {}):
             log.info("picture: %s", path)
     log.info("results: %s", out)
 
 
-def write_summary(
-    out: Path,
-    recording: Recording,
-    reconstruction: Reconstruction,
-    *,
-    source: str,
-    finding: Finding | None = None,
-) -> list[str | Table]:
-    """Write summary.json and summary.txt, with the finding where there is one; return the text."""
-    inclusion = None
-    if not reconstruction.warnings:
-        inclusion = find_lump(recording.mesh, reconstruction.youngs)
-    summary = summarise(recording, reconstruction, inclusion, source)
-    if finding is not None:
-        summary["finding"] = finding.plain()
-    write_json(out / "summary.json", summary)
-    parts: list[str | Table] = [describe(recording, reconstruction, inclusion, summary)]
-    if recording.truth is not None:
-        parts += ["", score_table(recording, {"reconstruction": reconstruction.youngs})[1]]
-    if finding is not None:
-        parts += ["", "Finding:", finding.text()]
-    texts = [part.text() if isinstance(part, Table) else part for part in parts]
-    write_file(out / "summary.txt", "\n".join(texts) + "\n")
-    return parts
-
-
-def summarise(
-    recording: Recording, reconstruction: Reconstruction, inclusion: Inclusion | None, source: str
-) -> dict[str, Any]:
+def summarise(recording: Recording, result: Reconstruction, source: str) -> dict[str, Any]:
     """Return the numbers of a run, with scores where there is a truth.
 
     Args:
         recording: The presses.
-        reconstruction: Result of their inversion.
-        inclusion: Most conspicuous inclusion of the map; None if there is none, or if the map is
-            not to be trusted.
+        result: Result of their inversion.
         source: Path of the recording.
     """
-    last, youngs = reconstruction.history[-1], reconstruction.youngs
     summary: dict[str, Any] = {
         "recording": source,
-        "optimizer": reconstruction.config["optimizer"]["name"],
-        "seconds": reconstruction.seconds,
-        "iterations": reconstruction.iterations,
-        "evaluations": last["evaluations"],
-        "stop_reason": reconstruction.stop_reason,
-        "misfit": reconstruction.misfit_mm2,
-        "chi2": last["chi2"],
+        "description": result.name,
+        "optimizer": result.config["optimizer"]["name"],
+        "seconds": result.seconds,
+        "iterations": result.iterations,
+        "stop_reason": result.stop_reason,
+        "misfit": result.misfit_mm2,
+        "chi2": result.chi2,
         "elements": recording.mesh.n_tets,
         "presses": len(recording.presses),
-        "youngs_median_mpa": float(np.median(youngs)),
-        "volume_at_bounds": reconstruction.volume_at_bounds,
-        "warnings": reconstruction.warnings,
-        "inclusion": None if inclusion is None else inclusion.plain(),
-        "regions": region_moduli(recording.mesh, youngs),
-        "nuisance": {name: found.plain() for name, found in reconstruction.nuisance.items()},
+        "finding": result.plain(),
+        "regions": region_moduli(recording.mesh, result.youngs),
+        "nuisance": {name: found.plain() for name, found in result.nuisance.items()},
     }
+    if result.shapes is None:
+        summary["evaluations"] = result.history[-1]["evaluations"]
+        summary["volume_at_bounds"] = result.volume_at_bounds
     if recording.truth is not None:
-        values, _ = score_table(recording, {"reconstruction": youngs})
+        values, _ = score_table(recording, fields_of(result))
         summary |= values.pop("reconstruction") | values
-    return summary | {"config": reconstruction.config}
+    return summary | {"config": result.config}
 
 
-def describe(
-    recording: Recording,
-    reconstruction: Reconstruction,
-    inclusion: Inclusion | None,
-    summary: Mapping[str, Any],
-) -> str:
-    """Return a summary of the map in words; see `summarise`."""
-    lines = [
-        f"{summary['optimizer']}: {summary['iterations']} iterations in "
-        f"{summary['seconds']:.1f} s; stopped because: {summary['stop_reason']}.",
-        f"The data are fitted to {math.sqrt(summary['chi2']):.2g} standard deviations"
-        + (f" (misfit {summary['misfit']:.3g} mm2)." if summary["misfit"] else "."),
-        *_describe_map(reconstruction, inclusion),
-        *_describe_regions(summary["regions"]),
-        *(_describe_estimate(name, value) for name, value in reconstruction.nuisance.items()),
-        *(f"DO NOT TRUST THIS MAP: {warning}" for warning in reconstruction.warnings),
+def describe_run(recording: Recording, result: Reconstruction) -> list[str | Table]:
+    """Return a summary of a result in words, with its scores where there is a truth."""
+    steps = "iterations" if result.shapes is None else "models"
+    misfit = f" (misfit {result.misfit_mm2:.3g} mm2)" if result.misfit_mm2 > 0 else ""
+    parts: list[str | Table] = [
+        describe(result),
+        "",
+        f"Description: {result.name}, {result.iterations} {steps} in {result.seconds:.1f} s; "
+        f"stopped because: {result.stop_reason}.",
+        f"The residuals are {np.sqrt(result.chi2):.2g} standard deviations{misfit}.",
+        *_describe_regions(region_moduli(recording.mesh, result.youngs)),
+        *(_describe_estimate(name, value) for name, value in result.nuisance.items()),
     ]
-    if recording.truth is not None and inclusion is not None:
-        true = find_lump(recording.mesh, recording.truth)
-        if true is not None:
-            median = float(np.median(recording.truth))
-            lines.append("In truth: " + summarize_inclusion(true, median))
-    return "\n".join(lines)
+    if result.other is not None:
+        parts.append(
+            f"The presses were described by {result.other.name} too, with residuals of "
+            f"{np.sqrt(result.other.chi2):.2g} standard deviations."
+        )
+    if recording.truth is not None:
+        parts += ["", *_describe_truth(recording), score_table(recording, fields_of(result))[1]]
+    return parts
 
 
-def _describe_map(reconstruction: Reconstruction, inclusion: Inclusion | None) -> list[str]:
-    """Return the inclusion of the map as a sentence; none of a map that is not to be trusted."""
-    if reconstruction.warnings:
+def _describe_truth(recording: Recording) -> list[str]:
+    """Return the most conspicuous inclusion of the truth, by element, as a sentence."""
+    assert recording.truth is not None
+    true = find_lump(recording.mesh, recording.truth)
+    if true is None:
         return []
-    median = float(np.median(reconstruction.youngs))
-    return ["In the map: " + summarize_inclusion(inclusion, median)]
+    center = ", ".join(f"{x:.2f}" for x in true.center_mm)
+    return [
+        f"In truth, averaged over the elements: a {true.side} inclusion at ({center}) mm, radius "
+        f"{true.equivalent_radius_mm:.2f} mm, {true.mean_mpa:.3g} in {true.background_mpa:.3g} MPa."
+    ]
 
 
 def region_moduli(mesh: TetMesh, youngs: Float[np.ndarray, " m"]) -> dict[str, dict[str, float]]:
@@ -208,38 +199,35 @@ def _describe_estimate(name: str, estimate: NuisanceEstimate) -> str:
 
 
 def read_histories(runs: Sequence[Path], own_name: str) -> dict[str, History]:
-    """Return the convergence of other runs by distinct names."""
+    """Return the convergence of the element maps of other runs by distinct names."""
     histories: dict[str, History] = {}
     for run in runs:
         try:
             result = Reconstruction.load(run / "reconstruction.h5" if run.is_dir() else run)
         except FileError as error:
             raise FileError(f"compare: {error}") from error
+        if (elements := result.element_map) is None:
+            raise FileError(f"compare: '{run}' has no element map; invert it with method=map.")
         name = str(result.config.get("optimizer", {}).get("name", run.name))
         free = (n for n in (name, run.name, str(run)) if n not in {own_name, *histories})
         label = next(free, None)
         if label is None:
             raise FileError(f"compare: '{run}' is named twice; give each run once.")
-        histories[label] = result.history
+        histories[label] = elements.history
     return histories
 
 
 def _draw(
-    out: Path, recording: Recording, reconstruction: Reconstruction, others: Mapping[str, History]
+    out: Path, recording: Recording, result: Reconstruction, others: Mapping[str, History]
 ) -> list[Path]:
-    """Draw slices of the map and the convergence."""
-    from tactorch.viz import convergence_figure, save_figure, slice_figure
+    """Draw slices of the result, and the convergence of an element map."""
+    from tactorch.viz import convergence_figure, reconstruction_figure, save_figure
     from tactorch.viz.contact import total_forces
 
-    histories = {reconstruction.config["optimizer"]["name"]: reconstruction.history, **others}
-    slices = slice_figure(
-        recording.mesh,
-        reconstruction.youngs,
-        truth=recording.truth,
-        pressed=total_forces(recording.presses),
-        title="Young's modulus, reconstructed",
-    )
-    return [
-        save_figure(slices, out / "slices.png"),
-        save_figure(convergence_figure(histories), out / "convergence.png"),
-    ]
+    pressed = total_forces(recording.presses)
+    slices = reconstruction_figure(result, truth=recording.truth, pressed=pressed)
+    paths = [save_figure(slices, out / "slices.png")]
+    if (elements := result.element_map) is not None:
+        histories = {result.config["optimizer"]["name"]: elements.history, **others}
+        paths.append(save_figure(convergence_figure(histories), out / "convergence.png"))
+    return paths

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.generation.recipe import Recipe
-from tactorch.inverse import invert
+from tactorch.inverse import invert_map
 from tactorch.inverse.linear_image import linear_map
 from tactorch.metrics import scores
 from tactorch.phantoms import Phantom
@@ -83,7 +83,7 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
         if isinstance(recipe.inversion, str):
             youngs = linear_map(recording)
         else:
-            result = invert(recording, recipe.inversion, show_progress=False)
+            result = invert_map(recording, recipe.inversion, show_progress=False)
             youngs = result.youngs
             figures["iterations"] = float(len(result.history) - 1)
             figures["chi2"] = float(result.history[-1]["chi2"])

@@ -2,7 +2,7 @@
 
 from tactorch.inverse.data import NoiseModel
 from tactorch.inverse.incremental import IncrementalInversion, IncrementalResult
-from tactorch.inverse.invert import invert, make_objective
+from tactorch.inverse.invert import invert, invert_map, make_objective
 from tactorch.inverse.misfit import MISFITS, Misfit
 from tactorch.inverse.monitor import Monitor, StopReason
 from tactorch.inverse.nuisance import Nuisance, NuisanceEstimate, NuisancePrior
@@ -21,11 +21,11 @@ from tactorch.inverse.parameterization import (
     Scaled,
 )
 from tactorch.inverse.problem import Evaluation, InverseProblem
-from tactorch.inverse.reconstruction import Reconstruction
 from tactorch.inverse.regularization.base import PRIORS, NoPrior, Prior, Quadratic, Regularizer
 from tactorch.inverse.regularization.combined import Composite, CompositePenalty, ShiftedPrior
 from tactorch.inverse.regularization.gaussian import Matern, Smoothness, Tikhonov
 from tactorch.inverse.regularization.sharp import BinaryWell, LogJumps, Sparsity, TotalVariation
+from tactorch.inverse.result import Lump, Reconstruction, Status, find_lump, find_lumps
 from tactorch.inverse.settings import Settings, settings_from
 from tactorch.inverse.shapes import ShapeInclusion, ShapeReconstruction, find_shapes
 from tactorch.inverse.starts import INITIALIZATIONS, Start, best_uniform, homogeneous, monte_carlo
@@ -50,6 +50,7 @@ __all__ = [
     "InverseProblem",
     "Log",
     "LogJumps",
+    "Lump",
     "Matern",
     "Misfit",
     "Monitor",
@@ -76,13 +77,17 @@ __all__ = [
     "Smoothness",
     "Sparsity",
     "Start",
+    "Status",
     "StopReason",
     "Tikhonov",
     "TotalVariation",
     "best_uniform",
+    "find_lump",
+    "find_lumps",
     "find_shapes",
     "homogeneous",
     "invert",
+    "invert_map",
     "is_palpation",
     "make_objective",
     "monte_carlo",

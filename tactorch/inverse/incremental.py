@@ -17,14 +17,15 @@ from jaxtyping import Float
 
 from tactorch.errors import ConfigError, ConvergenceError, RecordingError
 from tactorch.inverse.data import ModelError
-from tactorch.inverse.invert import ObjectiveBuilder, result_of, warn_of_assumed_noise
+from tactorch.inverse.invert import ObjectiveBuilder, warn_of_assumed_noise
 from tactorch.inverse.monitor import Monitor, StopCondition, StopReason
 from tactorch.inverse.objective import Point
 from tactorch.inverse.optimizers.base import OPTIMIZERS
 from tactorch.inverse.optimizers.damped import DampedNewton
 from tactorch.inverse.optimizers.schedule import warm_start_state
 from tactorch.inverse.problem import InverseProblem
-from tactorch.inverse.reconstruction import Reconstruction
+from tactorch.inverse.result.build import of_elements
+from tactorch.inverse.result.reconstruction import Reconstruction
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.starts import START_MPA, Start, homogeneous, start_map
 from tactorch.recording import Press, Recording
@@ -253,6 +254,6 @@ class IncrementalInversion:
         assert reason is not None
         stored = {name: state[name] for name in _WEIGHT} if "weight" in state else {}
         self._state = _State(presses, errors, point.youngs, stored)
-        result = result_of(objective, self._settings, optimizer, monitor)
+        result = of_elements(objective, self._settings, optimizer, monitor)
         last = float(monitor.history[-1].get("weight", 0.0))
         return IncrementalResult(result, point, last, self._restart or not reason.is_limit)

@@ -1,8 +1,10 @@
-"""From a recording to a reconstruction, in one call."""
+"""From a recording to the field of Young's modulus, in one call."""
 
 import logging
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -10,29 +12,44 @@ from typing import Any
 import numpy as np
 
 from tactorch.config import to_mapping
-from tactorch.errors import ConfigError
+from tactorch.errors import CancelledError, ConfigError, TactorchError
 from tactorch.fem import SoftBody
 from tactorch.inverse.data import ModelError, NoiseModel
 from tactorch.inverse.fields import ElementField
+from tactorch.inverse.held_out import held_out_score
 from tactorch.inverse.misfit import MISFITS, Adaptive, Squares
 from tactorch.inverse.model_error import discretisation_error, resolve_model_error
 from tactorch.inverse.monitor import Monitor, progress_text
 from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers.base import OPTIMIZERS, Optimizer
+from tactorch.inverse.optimizers.base import OPTIMIZERS
 from tactorch.inverse.optimizers.gauss_newton import GaussNewton
-from tactorch.inverse.palpation import PALPATION_ELEMENT, PalpationProblem, is_palpation
+from tactorch.inverse.palpation import (
+    PALPATION_ELEMENT,
+    PalpationProblem,
+    contacts_of,
+    is_palpation,
+)
 from tactorch.inverse.press_errors import error_patterns, has_errors
 from tactorch.inverse.problem import InverseProblem, make_body
-from tactorch.inverse.reconstruction import Reconstruction
+from tactorch.inverse.result.build import config_of, of_elements, of_inclusions
+from tactorch.inverse.result.reconstruction import Reconstruction
 from tactorch.inverse.settings import RESIDUAL_MODEL_ERROR, Settings
+from tactorch.inverse.shapes.model import MIN_GAIN
+from tactorch.inverse.shapes.search import find_shapes
 from tactorch.inverse.starts import START_MPA, Start, start_map, uniform_fit
+from tactorch.linalg import DenseCholesky
 from tactorch.progress import progress_line
 from tactorch.recording import Recording
-from tactorch.versions import versions
 
 _log = logging.getLogger(__name__)
 _ADAPT_ITERATIONS = 30
 _MIN_REPORTED = 2.0  # factor of the noise of a press that is logged
+# Mean squared residual of inclusions, over that of the noise, above which an element map is
+# computed too: the model's error is then as large as the noise.
+_MAX_CHI2 = 2.0
+#: Elements up to which inclusions are searched for, with quadratic elements of eight times the
+#: unknowns.
+MAX_ELEMENTS = 20_000
 
 
 def invert(
@@ -44,8 +61,131 @@ def invert(
     resume: str | Path | None = None,
     show_progress: bool | None = None,
     on_iteration: Callable[[dict[str, Any], np.ndarray], None] | None = None,
+    **search: Any,
 ) -> Reconstruction:
-    """Reconstruct the map of Young's modulus (eq. 8).
+    """Reconstruct the field of Young's modulus in the description that the presses support.
+
+    The field is described by inclusions with sharp boundaries in a background (`find_shapes`), or
+    by one modulus per element, an element map (`invert_map`, eq. 8). With `settings.method` "auto"
+    the element map is computed only where inclusions do not explain the presses or cannot be fitted
+    to them. Where both are computed, the one is returned that predicts the presses of a contact
+    better from those of the others (`tactorch.inverse.held_out`), the inclusions where both predict
+    them equally; the other one is the result's `other`.
+
+    The truth and the reference that a recording may carry are never read.
+
+    Args:
+        recording: Presses on an object.
+        settings: How to invert.
+        start_mpa: Start of an element map, see `invert_map`.
+        checkpoint: File to save the state of an element map to.
+        resume: Checkpoint of an element map to continue from.
+        show_progress: Whether to show a line of progress; see `tactorch.progress.progress_line`.
+        on_iteration: See `invert_map`.
+        search: Arguments of `find_shapes`: `max_shapes`, `start`, `stop`, `kept`.
+
+    Returns:
+        The field with its lumps, predictions and reasons not to trust it.
+
+    Raises:
+        CancelledError: `stop` returned True.
+        ConfigError: a setting cannot be used.
+        ConvergenceError: no description has an equilibrium under the recorded forces; with the
+            method "inclusions", as of `find_shapes`.
+        FileError: the checkpoint to resume cannot be read.
+    """
+    settings = settings or Settings()
+    element_map = partial(
+        invert_map, recording, settings, start_mpa=start_mpa, checkpoint=checkpoint,
+        resume=resume, show_progress=show_progress, on_iteration=on_iteration,
+    )  # fmt: skip
+    if settings.method == "map":
+        return element_map()
+    try:
+        found = _find(recording, settings, search)
+    except CancelledError:
+        raise
+    except (TactorchError, MemoryError, RuntimeError) as error:
+        if settings.method == "inclusions":
+            raise
+        reason = str(error).rstrip(".") or "not enough memory"
+        warning = f"No inclusions can be fitted ({reason}); this is the element map."
+        _log.warning("%s", warning)
+        return element_map().with_warning(warning)
+    if settings.method == "inclusions" or is_explained(found):
+        return found
+    _log.info("Inclusions do not explain the presses; the element map is computed too.")
+    return better_of(found, element_map(), recording, settings)
+
+
+def _find(recording: Recording, settings: Settings, search: Mapping[str, Any]) -> Reconstruction:
+    count, began = recording.mesh.n_tets, time.perf_counter()
+    # All places of a palpation share one factorisation.
+    if settings.method == "auto" and count > MAX_ELEMENTS and not is_palpation(recording):
+        raise ConfigError(
+            f"the mesh has {count} elements, more than {MAX_ELEMENTS}, and the fits would take "
+            "much time and memory; method=inclusions fits them all the same"
+        )
+    shapes = find_shapes(recording, settings, **search)
+    config = config_of(recording, settings)
+    return of_inclusions(recording, shapes, config, time.perf_counter() - began)
+
+
+def is_explained(result: Reconstruction) -> bool:
+    """Return whether a result explains the presses, so that no other description is needed."""
+    return not result.reasons and result.chi2 <= _MAX_CHI2
+
+
+def better_of(
+    inclusions: Reconstruction, elements: Reconstruction, recording: Recording, settings: Settings
+) -> Reconstruction:
+    """Return the description that predicts held-out contacts better, with the other one.
+
+    The simpler one, by inclusions, is returned where the log-densities of all data differ by less
+    than that of a model that is accepted in the search, and where they cannot be computed.
+    """
+    assert inclusions.shapes is not None
+    scores = inclusions.shapes.held_out, _held_out_score(recording, elements, settings)
+    if None not in scores and inclusions.residuals is not None:
+        gain = (scores[1] - scores[0]) * len(inclusions.residuals)  # type: ignore[operator]
+        _log.info("held-out presses: log-density %+.4g by the element map", gain)
+        if gain > MIN_GAIN and not elements.reasons:
+            return replace(elements, other=inclusions)
+    return replace(inclusions, other=elements)
+
+
+def _held_out_score(
+    recording: Recording, elements: Reconstruction, settings: Settings
+) -> float | None:
+    """Return the score of an element map; None where it cannot be computed."""
+    try:
+        point = solution(recording, elements, settings)
+        prior = point.prior_curvature(elements.history[-1].get("weight", 0.0))
+        factor = DenseCholesky.of(point.jacobian.T @ point.jacobian, prior)
+    except (TactorchError, MemoryError, RuntimeError) as error:
+        _log.info("held-out presses cannot be predicted by the element map: %s", error)
+        return None
+    if factor is None:
+        return None
+    data, identity = point.evaluation.data, np.eye(len(point.x))
+    covariance = np.column_stack([factor.solve(column) for column in identity])
+    contacts = contacts_of(recording, data.observations)
+    return held_out_score(data, contacts, point.evaluation.residuals, point.jacobian, covariance)
+
+
+def invert_map(
+    recording: Recording,
+    settings: Settings | None = None,
+    *,
+    start_mpa: Start = START_MPA,
+    checkpoint: str | Path | None = None,
+    resume: str | Path | None = None,
+    show_progress: bool | None = None,
+    on_iteration: Callable[[dict[str, Any], np.ndarray], None] | None = None,
+) -> Reconstruction:
+    """Reconstruct an element map, one modulus per element (eq. 8).
+
+    An interruption (Ctrl-C) or the time limit keeps the best map so far.
 
     The truth and the reference that a recording may carry are never read. An interruption
     (Ctrl-C) or the time limit keeps the best map so far.
@@ -91,7 +231,7 @@ def invert(
                 monitor.reason = reason = optimizer.minimize(objective, x, monitor)
                 monitor.ended = None if reason.is_limit else reason
             monitor.save()
-    result = result_of(objective, settings, optimizer, monitor)
+    result = of_elements(objective, settings, optimizer, monitor)
     return replace(result, config={"start_mpa": _describe_start(start_mpa), **result.config})
 
 
@@ -263,33 +403,3 @@ def _describe_start(start: Start) -> float | str:
     if callable(start):
         return getattr(start, "__name__", type(start).__name__)
     return "a map, one modulus per element" if np.ndim(start) else float(start)
-
-
-def result_of(
-    objective: Objective, settings: Settings, optimizer: Optimizer, monitor: Monitor
-) -> Reconstruction:
-    """Return the result of an optimizer that has ended."""
-    recording = objective.problem.recording
-    point = monitor.point
-    if point is None:  # resumed and stopped before a step
-        assert monitor.best is not None
-        point = objective.at(monitor.best)
-    n, reason = recording.mesh.n_points, monitor.reason or monitor.ended
-    assert reason is not None
-    return Reconstruction(
-        mesh=recording.mesh,
-        youngs=point.youngs,
-        displacements=np.array([u[:n] for u in point.evaluation.displacements]).reshape(-1, n, 3),
-        history=monitor.history,
-        stop_reason=reason,
-        seconds=monitor.seconds,
-        nuisance=point.nuisance_estimates(monitor.history[-1].get("weight", 0.0)),
-        predicted=np.concatenate(point.evaluation.predicted),
-        config={
-            "settings": to_mapping(settings),
-            "optimizer": to_mapping(optimizer, "optimizer"),
-            "material": to_mapping(recording.material),
-            "recording": recording.provenance,
-            "versions": versions(),
-        },
-    )

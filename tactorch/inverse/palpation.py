@@ -20,7 +20,7 @@ from tactorch.fem import Supports
 from tactorch.fem.body import check_youngs
 from tactorch.fem.contact import Ball
 from tactorch.fem.indentation import BallForces, BallPlace, Indentation, IndentedBody
-from tactorch.inverse.data import CorrelatedNoise, DataModel
+from tactorch.inverse.data import CorrelatedNoise, DataModel, Observation, group_by_contact
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.mesh.closest import closest_points
 from tactorch.recording import Press, ProbePose, Recording
@@ -342,6 +342,14 @@ class PalpationProblem(InverseProblem):
         self.evaluations += 1
         body = self.indentation.at(youngs)
         return PalpationEvaluation(self, body, body.press(self.places, self.depths_mm), self.data)
+
+
+def contacts_of(recording: Recording, observations: Sequence[Observation]) -> list[tuple[int, ...]]:
+    """Return the numbers of the presses of each contact, or of each place of a palpation."""
+    if not is_palpation(recording):
+        return group_by_contact(recording.presses, observations)
+    places, first = group_places([press.probe for press in recording.presses if press.probe])
+    return [tuple(np.flatnonzero(places == place).tolist()) for place in range(len(first))]
 
 
 def group_places(

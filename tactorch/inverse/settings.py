@@ -29,10 +29,13 @@ class Settings(Options):
 
     Components may be given as objects, by name ("tikhonov"), or as a table
     ({"name": "tikhonov", "level_mpa": 0.2}). By default the discretisation error of the mesh is
-    corrected unless the presses were computed on the same mesh.
+    corrected unless the presses were computed on the same mesh. The optimizer, the
+    parameterization, the prior and nuisance parameters are those of the element map.
     """
 
-    optimizer: Optimizer = option(factory=GaussNewton, help="Optimizer", section="optimizer")
+    optimizer: Optimizer = option(
+        factory=GaussNewton, help="Optimizer of the element map", section="optimizer"
+    )
     parameterization: Parameterization = option(
         factory=Log, help="Variables of the optimization", section="parameterization"
     )
@@ -56,7 +59,14 @@ class Settings(Options):
     nuisance: NuisancePrior = option(
         factory=NuisancePrior, help="Nuisance parameters to be estimated", preset="none"
     )
-    max_seconds: float | None = option(None, "Time limit; null: none", unit="s", gt=0)
+    max_seconds: float | None = option(
+        None, "Time limit of an element map; null: none", unit="s", gt=0
+    )
+    method: Literal["auto", "inclusions", "map"] = option(
+        "auto",
+        "Description of the field: inclusions in a background, a map with one modulus per element, "
+        "or the one that the presses support",
+    )
 
 
 def has_all_settings(config: Mapping[str, Any]) -> bool:

@@ -4,7 +4,7 @@ In the logarithm of the moduli, two levels minimise the absolute deviation: back
 inclusion, each a volume-weighted median. The threshold is half way between them, iterated to
 convergence (T. W. Ridler and S. Calvard, "Picture thresholding using an iterative selection
 method", IEEE Trans. Syst. Man Cybern. 8 (1978), 630-632). Elements at a bound therefore do not move
-it. Scores (`tactorch.metrics.scores`) and findings (`tactorch.findings`) use the same segmentation.
+it. Scores (`tactorch.metrics.scores`) and lumps (`tactorch.inverse.find_lumps`) use it.
 """
 
 from dataclasses import dataclass
@@ -80,7 +80,7 @@ class Inclusion:
 def find_inclusion(mesh: TetMesh, youngs: Field) -> Inclusion | None:
     """Find the largest face-connected region of the segmented map (`tactorch.metrics.segment`).
 
-    `tactorch.findings.find_lump`, which the commands use, takes the most conspicuous region.
+    `tactorch.inverse.find_lump`, which the commands use, takes the most conspicuous region.
 
     Args:
         mesh: The body, m elements.

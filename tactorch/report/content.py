@@ -9,9 +9,16 @@ import numpy as np
 import yaml
 from jaxtyping import Bool, Float
 
-from tactorch.findings import Finding, Lump, Status
-from tactorch.findings.text import Fact, describe_lump, format_modulus, headline, lump_facts
-from tactorch.metrics import Inclusion, scores
+from tactorch.inverse import Lump, Reconstruction
+from tactorch.inverse.result.text import (
+    Fact,
+    describe_lump,
+    format_modulus,
+    headline,
+    lead,
+    lump_facts,
+)
+from tactorch.metrics import scores
 from tactorch.recording import Press
 from tactorch.report.runs import Run
 from tactorch.text import one_line
@@ -20,6 +27,7 @@ _MAX_FACTOR = 2.0  # an interval of a larger factor is reported as a limitation
 _MIN_VOLUME = 0.02  # fraction of the volume from which it is reported
 _MAX_LISTED, _LISTED = 100, 20  # presses up to which all are shown, and the number of those of more
 _MAX_FIT = 1.5  # standard deviations; a larger residual is reported
+_BIASED = "total_variation"  # prior that shrinks contrasts
 # Title of each score and the best value: the minimum, the maximum, or 1.
 _SCORES = {
     "rmse_mpa": ("RMSE of the modulus (MPa)", "min"),
@@ -52,17 +60,20 @@ class Table:
 class UncertaintySummary:
     """Uncertainty of the modulus of each element."""
 
-    credibility: Float[np.ndarray, " m"]  # L of eq. (15) of the paper, mm/MPa
-    low: Float[np.ndarray, " m"]  # ends of the 95 % interval, MPa
+    low: Float[np.ndarray, " m"]  # ends of the 90 % interval, MPa
     high: Float[np.ndarray, " m"]
-    resolution: Float[np.ndarray, " m"]  # 1 if the data determine the modulus, 0 if the prior does
-    at_bound: Bool[np.ndarray, " m"]  # whether a bound of the moduli truncates the interval
-    kind: str  # class of the posterior
+    # 1 if the data determine the modulus, 0 if the prior does; None for inclusions.
+    resolution: Float[np.ndarray, " m"] | None = None
+    credibility: Float[np.ndarray, " m"] | None = None  # L of eq. (15) of the paper, mm/MPa
+    # Whether a bound of the moduli truncates the interval; None if none does.
+    at_bound: Bool[np.ndarray, " m"] | None = None
+    kind: str = ""  # class of the posterior of an element map
 
     @property
     def relative_half_width(self) -> Float[np.ndarray, " m"]:
         """Relative half width of the interval (m,): 0.3 is a factor of 1.3; NaN at a bound."""
-        return np.where(self.at_bound, np.nan, np.sqrt(self.high / self.low) - 1.0)
+        width = np.sqrt(self.high / self.low) - 1.0
+        return width if self.at_bound is None else np.where(self.at_bound, np.nan, width)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,68 +97,71 @@ class PressFit:
 
 @dataclass(frozen=True, eq=False)
 class RunReport:
-    """One run: its finding, uncertainty and residuals, and texts about them."""
+    """One run: its result, uncertainty and residuals, and texts about them."""
 
     run: Run
-    finding: Finding
     uncertainty: UncertaintySummary | None = None
     fits: Sequence[PressFit] = ()
     missing: str = ""  # reason why something is missing
-    # Whether the discretisation error is removed from the residuals; None if the inversion does
-    # not correct it.
-    corrected: bool | None = False
+
+    @property
+    def result(self) -> Reconstruction:
+        """The result, in the description that is shown."""
+        return self.run.result
 
     @property
     def lump(self) -> Lump | None:
-        """Most conspicuous lump."""
-        return next(iter(self.finding.lumps), None)
-
-    @property
-    def inclusion(self) -> Inclusion | None:
-        """Most conspicuous inclusion."""
-        return None if self.lump is None else self.lump.inclusion
+        """Most probable or conspicuous lump."""
+        return next(iter(self.result.lumps), None)
 
     @property
     def headline(self) -> str:
         """The finding in one line."""
-        if self.finding.status is Status.UNKNOWN:
-            return "The presses cannot tell whether there is an inclusion"
-        count = len(self.finding.lumps)
-        return headline(self.inclusion) if count < 2 else f"{count} inclusions"
+        return headline(self.result)
 
     @property
     def description(self) -> str:
-        """The finding in one sentence."""
-        if self.lump is not None:
-            first = f"{headline(self.lump.inclusion)}. " if len(self.finding.lumps) > 1 else ""
-            return first + describe_lump(self.lump)
-        if self.finding.status is Status.UNKNOWN:
-            return " ".join(reason[0].upper() + reason[1:] for reason in self.finding.reasons)
-        modulus = format_modulus(float(np.median(self.run.result.youngs)))
-        return f"Young's modulus is {modulus} and nearly uniform where the presses resolve it."
+        """The finding in one or two sentences."""
+        return lead(self.result)
 
     @property
     def others(self) -> list[str]:
-        """Sentences on all lumps but the most conspicuous."""
-        return [lump.text() for lump in self.finding.lumps[1:]]
+        """Sentences on all lumps but the first."""
+        return [describe_lump(lump) for lump in self.result.lumps[1:]]
 
     @property
     def facts(self) -> list[Fact]:
-        """Location, size, modulus, probability and fit."""
-        modulus = format_modulus(float(np.median(self.run.result.youngs)))
-        facts = [Fact("Young's modulus", modulus, "median")]
+        """Location, size, modulus, probability, description and fit."""
+        facts = [Fact("Young's modulus", format_modulus(self.result.background_mpa), "background")]
         if self.lump is not None:
             facts = lump_facts(self.lump)
-        note = "RMS residual over the noise of the displacements; a good fit is near 1 or below"
-        return [*facts, Fact("Fit", f"{_fit(self.run):.2g} SD", note)]
+        note = "RMS residual over the noise; well above 1 the presses are not explained"
+        return [*facts, Fact("Fit", f"{math.sqrt(self.result.chi2):.2g} SD", note), self._described]
+
+    @property
+    def _described(self) -> Fact:
+        """The description that is shown, and how the other one fits."""
+        result, other = self.result, self.result.other
+        count = 0 if result.shapes is None else len(result.shapes.inclusions)
+        what = "one modulus per element"
+        if result.shapes is not None:
+            what = f"{count} inclusion{'s' * (count != 1)} in a background"
+        note = what
+        if other is not None:
+            residual = f"{math.sqrt(other.chi2):.2g} SD"
+            note = f"{what}; computed too: {other.name}, which fits the presses to {residual}"
+        return Fact("Description", result.name, note)
 
     @property
     def omitted(self) -> str:
         """What the report omits and why, or empty."""
+        known = self.uncertainty
         if self.run.recording is None:
-            parts = "truth, contact, presses and uncertainty, because the recording is missing"
-        elif self.uncertainty is None:
+            parts = "truth, contact, presses and credibility, because the recording is missing"
+        elif known is None:
             parts = "credibility and uncertainty"
+        elif known.credibility is None:
+            parts = "credibility"
         else:
             return ""
         reason = self.missing.rstrip(".")
@@ -155,12 +169,12 @@ class RunReport:
 
     @property
     def limitations(self) -> list[str]:
-        """Further limitations of the map and of the recording."""
-        run, uncertainty, lines = self.run, self.uncertainty, list(self.finding.notes)
-        if _fit(run) > _MAX_FIT:
+        """Warnings and further limitations of the result and of the recording."""
+        run, uncertainty, lines = self.run, self.uncertainty, list(self.result.warnings)
+        fit = math.sqrt(self.result.chi2)
+        if fit > _MAX_FIT:
             lines.append(
-                f"The map does not explain the presses: the residual is {_fit(run):.2g} standard"
-                " deviations."
+                f"The presses are not explained: the residual is {fit:.2g} standard deviations."
             )
         if uncertainty is not None:
             volumes = run.result.mesh.volumes
@@ -172,18 +186,16 @@ class RunReport:
                     f"In {100 * fraction:.0f} % of the volume the uncertainty of the modulus"
                     " exceeds a factor of two."
                 )
-        prior = run.result.config.get("settings", {}).get("regularization", "")
-        prior_name = prior.get("name") if isinstance(prior, Mapping) else prior
-        if self.inclusion is not None and prior_name == "total_variation":
+        if self.lump is not None and self.result.shapes is None and _prior(run) == _BIASED:
             lines.append(
-                "Contrast of the inclusion: the prior (total variation) biases it towards the"
-                " surroundings, so that the true contrast is often larger than shown and intervals"
-                " within the inclusion are too narrow."
+                "Contrast of the lump: the prior of the element map (total variation) biases it"
+                " towards the surroundings, so that the true contrast is often larger than shown"
+                " and intervals within the lump are too narrow."
             )
         if run.recording is not None and run.noise.assumed(run.recording):
             lines.append(
-                "The noise of the displacements is an assumption; if it is larger, fine detail of"
-                " the map is noise and intervals are too narrow."
+                "The noise of the displacements is an assumption; if it is larger, details are"
+                " noise and intervals are too narrow."
             )
         for name, estimate in run.result.nuisance.items():
             if not np.isfinite(estimate.deviation).any():
@@ -255,8 +267,9 @@ def _number(value: float, digits: int = 3) -> str:
     return "–" if math.isnan(value) else f"{value:.{digits}g}"
 
 
-def _fit(run: Run) -> float:
-    return math.sqrt(float(run.summary.get("chi2", math.nan)))
+def _prior(run: Run) -> Any:
+    prior = run.result.config.get("settings", {}).get("regularization", "")
+    return prior.get("name") if isinstance(prior, Mapping) else prior
 
 
 def press_label(number: int, press: Press) -> str:
@@ -267,7 +280,11 @@ def press_label(number: int, press: Press) -> str:
 
 def score_table(runs: Sequence[Run]) -> Table:
     """Return scores against the truth and cost, with the best values marked."""
-    columns = {run.name: _scores(run, run.result.youngs) | _cost(run) for run in runs}
+    columns = {}
+    for run in runs:
+        columns[run.name] = _scores(run, run.result.youngs) | _cost(run)
+        if run.result.other is not None:
+            columns[f"{run.name}, {run.result.other.name}"] = _scores(run, run.result.other.youngs)
     shared = _distinct(runs, "reference") <= 1 and all(run.name != "reference" for run in runs)
     for run in runs:
         if run.recording is not None and run.recording.reference is not None:
@@ -320,13 +337,20 @@ def _cell(value: float | None) -> str:
 
 
 def history_table(run: Run) -> Table:
-    """Return the iterations of a run."""
+    """Return the iterations of an element map, or the models that a search accepted."""
     rows = []
     for record in run.result.history:
-        seconds, residual = record.get("seconds", math.nan), math.sqrt(record["chi2"])
-        cells = (f"{seconds:.1f}", f"{record['misfit']:.4g}", f"{residual:.3g}")
+        residual = f"{math.sqrt(record['chi2']):.3g}"
+        if run.result.shapes is None:
+            seconds = record.get("seconds", math.nan)
+            cells = [f"{seconds:.1f}", f"{record['misfit']:.4g}", residual]
+        else:
+            cells = [record["model"], residual, f"{record['log_evidence']:.4g}"]
         rows.append([f"{record['iteration']}", *cells])
-    return Table(run.name, ["Iteration", "Time (s)", "Misfit (mm²)", "Residual (SD)"], rows)
+    header = ["Iteration", "Time (s)", "Misfit (mm²)", "Residual (SD)"]
+    if run.result.shapes is not None:
+        header = ["Number", "Model", "Residual (SD)", "Log-evidence"]
+    return Table(run.name, header, rows)
 
 
 def versions_table(runs: Sequence[Run]) -> Table:

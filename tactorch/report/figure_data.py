@@ -15,17 +15,23 @@ from tactorch.recording import Press
 from tactorch.report.content import PressFit, RunReport, UncertaintySummary, press_label
 from tactorch.report.runs import Run
 from tactorch.viz.contact import contact_patches, total_forces
+from tactorch.viz.lump_surfaces import Surface, lump_surfaces
 from tactorch.viz.slicing import OUTLINE_LEVEL, colour_scale, departure_from_background
 
 #: Title, unit and description of each field.
 FIELDS: dict[str, tuple[str, str, str]] = {
-    "youngs": ("Young's modulus", "MPa", "the reconstructed map"),
+    "youngs": ("Young's modulus", "MPa", "the result, averaged over each element"),
+    "other": (
+        "Other description",
+        "MPa",
+        "the description of the same presses that predicts them less",
+    ),
     "truth": ("Truth", "MPa", "the true modulus of the object"),
     "reference": ("Reference", "MPa", "another reconstruction from the same presses"),
     "uncertainty": (
         "Uncertainty",
         "± %",
-        "relative half width of the 95 % interval; elements at a bound of the modulus have no"
+        "relative half width of the 90 % interval; elements at a bound of the modulus have no"
         " interval and the colour of the largest value",
     ),
     "credibility": (
@@ -45,7 +51,7 @@ FIELDS: dict[str, tuple[str, str, str]] = {
 UNDEFINED = -1.0
 
 _STEPS = 65_535  # of the values with two bytes
-_MODULI = ("youngs", "truth", "reference")
+_MODULI = ("youngs", "other", "truth", "reference")
 #: Matplotlib's name of each colour map of the modulus.
 COLOURS = {"viridis": "viridis", "cividis": "cividis", "ultrasound": "gray"}
 _PERCENTILE = 99.5  # upper end of the colour scales
@@ -73,34 +79,34 @@ def figure_data(reports: Sequence[RunReport], colours: str) -> dict[str, Any]:
 
 
 def _run_data(report: RunReport) -> dict[str, Any]:
-    run, inclusion, uncertainty = report.run, report.inclusion, report.uncertainty
+    run, uncertainty = report.run, report.uncertainty
     mesh, recording = run.result.mesh, run.recording
-    data = dict.fromkeys(("center", "level", "interval", "inclusion", "trueInclusion")) | {
+    data = dict.fromkeys(("center", "level", "interval", "trueInclusion")) | {
         "name": run.name,
+        "description": run.result.name,
         "points": packed(mesh.points, "float32"),
         "tets": indices(mesh.tets, mesh.n_points),
         "surface": indices(mesh.surface.triangles, mesh.n_points),
         "bounds": mesh.bounds.tolist(),
         "fields": {name: quantised(values) for name, values in _fields(run, uncertainty).items()},
         "posterior": "",
+        "lumps": _lumps(report),
         "contact": [],
         "presses": [],
-        "corrected": report.corrected,
         "history": [
             {
                 "iteration": int(record["iteration"]),
                 "seconds": float(record.get("seconds", 0.0)),
                 "deviations": float(np.sqrt(record["chi2"])),
-                "misfit": float(record["misfit"]),
             }
             for record in run.result.history
         ],
     }
-    if inclusion is not None:
+    if report.lump is not None:
+        inclusion = report.lump.inclusion
         data["center"] = inclusion.center_mm.tolist()
-        # Half way between the modulus of the inclusion and that of its surroundings, MPa.
+        # Half way between the modulus of the lump and that of its surroundings, MPa.
         data["level"] = 0.5 * (inclusion.mean_mpa + inclusion.background_mpa)
-        data["inclusion"] = _boundary(mesh, inclusion.elements)
     if uncertainty is not None:
         data["interval"] = [quantised(uncertainty.low), quantised(uncertainty.high)]
         data["posterior"] = _CALIBRATION.get(uncertainty.kind, "")
@@ -120,16 +126,53 @@ def _run_data(report: RunReport) -> dict[str, Any]:
     return data
 
 
+def _lumps(report: RunReport) -> list[dict[str, Any]]:
+    """Return the surfaces of each lump, those of an element map along faces of elements.
+
+    Inclusions also have the surfaces of what is inside them with probabilities of 95 % and 5 %.
+    """
+    result, mesh = report.result, report.result.mesh
+    if result.shapes is None:
+        return [
+            {
+                "youngs": lump.inclusion.mean_mpa,
+                "best": {
+                    "points": packed(mesh.points, "float32"),
+                    "triangles": _boundary(mesh, lump.inclusion.elements),
+                },
+            }
+            for lump in result.lumps
+        ]
+    return [
+        {
+            "youngs": lump.youngs_mpa,
+            **{name: _surface(getattr(lump, name)) for name in ("best", "inner", "outer")},
+        }
+        for lump in lump_surfaces(result.shapes)[: len(result.lumps)]
+    ]
+
+
+def _surface(surface: Surface | None) -> dict[str, Any] | None:
+    if surface is None:
+        return None
+    triangles = indices(surface.triangles, len(surface.points))
+    return {"points": packed(surface.points, "float32"), "triangles": triangles}
+
+
 def _fields(run: Run, uncertainty: UncertaintySummary | None) -> dict[str, np.ndarray]:
     fields, recording = {"youngs": run.result.youngs}, run.recording
+    if run.result.other is not None:
+        fields["other"] = run.result.other.youngs
     if recording is not None:
         known = {"truth": recording.truth, "reference": recording.reference}
         fields |= {name: values for name, values in known.items() if values is not None}
     if uncertainty is not None:
         width = 100.0 * uncertainty.relative_half_width
         fields["uncertainty"] = np.nan_to_num(width, nan=UNDEFINED)
-        fields["credibility"] = uncertainty.credibility
-        fields["resolution"] = 100.0 * uncertainty.resolution
+        if uncertainty.credibility is not None:
+            fields["credibility"] = uncertainty.credibility
+        if uncertainty.resolution is not None:
+            fields["resolution"] = 100.0 * uncertainty.resolution
     return fields
 
 
@@ -167,7 +210,9 @@ def _limits(reports: Sequence[RunReport]) -> dict[str, list[float]]:
     runs = [report.run for report in reports]
     if not runs:
         return {}
-    maps = {"reconstruction": np.concatenate([run.result.youngs for run in runs])}
+    moduli = [run.result.youngs for run in runs]
+    lumps = [lump.inclusion.mean_mpa for run in runs for lump in run.result.lumps]
+    maps = {"reconstruction": np.concatenate([*moduli, np.array(lumps)])}
     recordings = [run.recording for run in runs if run.recording is not None]
     truths = [recording.truth for recording in recordings if recording.truth is not None]
     if truths:
@@ -178,13 +223,17 @@ def _limits(reports: Sequence[RunReport]) -> dict[str, list[float]]:
     known = [summary for summary in uncertainties if summary is not None]
     if known:
         width = np.concatenate([100.0 * summary.relative_half_width for summary in known])
-        credibility = np.concatenate([summary.credibility for summary in known])
-        resolution = np.concatenate([100.0 * summary.resolution for summary in known])
-        top = _upper_limit(credibility)
         limits["uncertainty"] = [0.0, _upper_limit(width[np.isfinite(width)])]
-        limits["credibility"] = [max(float(credibility.min()), 1e-4 * top), top]
-        limits["resolution"] = [0.0, _upper_limit(resolution)]
+        metric = _joined([summary.credibility for summary in known])
+        top = _upper_limit(metric)
+        limits["credibility"] = [max(float(metric.min(initial=top)), 1e-4 * top), top]
+        resolution = _joined([summary.resolution for summary in known])
+        limits["resolution"] = [0.0, _upper_limit(100.0 * resolution)]
     return limits
+
+
+def _joined(fields: Sequence[np.ndarray | None]) -> np.ndarray:
+    return np.concatenate([np.zeros(0), *(field for field in fields if field is not None)])
 
 
 def _upper_limit(values: np.ndarray) -> float:

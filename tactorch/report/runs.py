@@ -1,18 +1,19 @@
 """Run folders of inversions."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from tactorch.errors import FileError, RecordingError, TactorchError
 from tactorch.files import read_json, require_file, require_folder
-from tactorch.findings import SHAPES
 from tactorch.inverse import NoiseModel, Reconstruction, Settings, ShapeReconstruction
+from tactorch.inverse.result.build import of_inclusions, with_lumps
 from tactorch.recording import Recording
 from tactorch.text import one_line
 
 _FILES = ("reconstruction.h5", "summary.json")  # of a finished inversion
+_SHAPES = "shapes.json"  # of earlier versions
 _LOG_LINES = 200
 _MAX_NAME_LENGTH = 255
 
@@ -31,7 +32,6 @@ class Run:
         text: Content of `summary.txt`.
         log: Last lines of the log.
         settings: Settings of the inversion if the result does not contain all of them.
-        shapes: Shapes that were fitted to the presses, if there are any.
     """
 
     folder: Path
@@ -43,7 +43,6 @@ class Run:
     text: str
     log: str
     settings: Settings | None = None
-    shapes: ShapeReconstruction | None = None
 
     @property
     def noise(self) -> NoiseModel:
@@ -63,7 +62,6 @@ def load_run(
     name: str = "",
     recording: str | Path | None = None,
     check_units: bool = True,
-    shapes: bool = True,
 ) -> Run:
     """Read the folder of an inversion.
 
@@ -72,7 +70,6 @@ def load_run(
         name: Name of the run; the name of the folder if empty.
         recording: Inverted recording, if it is not the file that the run refers to.
         check_units: Whether recordings whose numbers suggest another unit are refused.
-        shapes: Whether shapes that were fitted earlier are read.
     """
     path = require_folder(folder, "run")
     try:
@@ -97,13 +94,12 @@ def load_run(
     return Run(
         folder=path,
         name=one_line(name or path.resolve().name, _MAX_NAME_LENGTH),
-        result=result,
+        result=_complete(result, loaded, path),
         recording=loaded,
         missing=missing,
         summary=summary,
         text=text.read_text(encoding="utf-8", errors="replace") if text.is_file() else "",
         log=_load_log(path),
-        shapes=_load_shapes(path) if shapes else None,
     )
 
 
@@ -137,15 +133,24 @@ def _load_recording(path: str | Path, result: Reconstruction, check_units: bool)
     return recording
 
 
-def _load_shapes(folder: Path) -> ShapeReconstruction | None:
-    if not (folder / SHAPES).is_file():
-        return None
+def _complete(result: Reconstruction, recording: Recording | None, folder: Path) -> Reconstruction:
+    """Return a result of an earlier version with the depths of its lumps, or with its inclusions.
+
+    These versions kept inclusions in a separate file.
+    """
+    if recording is None or result.shapes is not None or result.residuals is not None:
+        return result
+    elements, path = with_lumps(result, recording), folder / _SHAPES
+    if not path.is_file():
+        return elements
     remedy = "run `tactorch find` again."
-    values = read_json(folder / SHAPES, "shapes", remedy)
+    values = read_json(path, "shapes", remedy)
     try:
-        return ShapeReconstruction.of(values)
+        shapes = ShapeReconstruction.of(values)
     except (KeyError, TypeError, ValueError) as error:
-        raise FileError(f"'{folder / SHAPES}' has no valid shapes ({error}); {remedy}") from error
+        raise FileError(f"'{path}' has no valid shapes ({error}); {remedy}") from error
+    found = of_inclusions(recording, shapes, result.config, result.seconds)
+    return replace(found, other=elements)
 
 
 def _load_log(folder: Path) -> str:

@@ -1,7 +1,6 @@
 """Rendering of runs to one HTML file."""
 
 import logging
-import math
 from collections.abc import Sequence
 from datetime import datetime
 from importlib.resources import files
@@ -13,7 +12,7 @@ from markupsafe import Markup
 
 from tactorch.errors import ConfigError
 from tactorch.files import write_file
-from tactorch.inverse import Reconstruction, ShapeReconstruction
+from tactorch.inverse import Reconstruction
 from tactorch.recording import Recording
 from tactorch.report.assessment import ProgressCallback, assess
 from tactorch.report.content import (
@@ -70,7 +69,6 @@ def report_of(
     result: Reconstruction,
     path: str | Path,
     recording: Recording | None = None,
-    shapes: ShapeReconstruction | None = None,
     **options: Any,
 ) -> Path:
     """Write the report of a result that is in no folder of a run; return its path.
@@ -79,14 +77,11 @@ def report_of(
         result: The result of `invert`.
         path: Path of the file.
         recording: Its presses.
-        shapes: Result of `find_shapes` for them.
         options: Options of `write_report`.
     """
-    chi2 = result.history[-1]["chi2"] if result.history else math.nan
     missing = "" if recording is not None else "no recording was given"
     run = Run(
-        Path(path).parent, Path(path).stem, result, recording, missing, {"chi2": chi2},
-        result.summary(), "", shapes=shapes,
+        Path(path).parent, Path(path).stem, result, recording, missing, {}, result.summary(), "",
     )  # fmt: skip
     return write_report([run], path, **options)
 

@@ -19,8 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.findings import find_lumps
-from tactorch.inverse import find_shapes, homogeneous
+from tactorch.inverse import find_lumps, find_shapes, homogeneous
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
 from tactorch.reproduce.cases import CaseResult, CaseSettings, Exhibit, Results, Table

@@ -25,7 +25,7 @@ from tactorch.inverse import (
     Scaled,
     Settings,
     StopReason,
-    invert,
+    invert_map,
 )
 from tactorch.metrics import scores, ssim
 from tactorch.recording import Recording
@@ -128,7 +128,7 @@ def run_with_trace(recording: Recording, settings: Settings, scratch: Path) -> T
         with open(file, "a") as stream:
             stream.write(_line(trace[-1]))
 
-    result = invert(
+    result = invert_map(
         replace(recording, truth=None),
         settings,
         start_mpa=START_MPA,

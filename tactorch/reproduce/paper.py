@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from tactorch.fem import SoftBody, make_material
-from tactorch.inverse import Reconstruction, Settings, Start, invert
+from tactorch.inverse import Reconstruction, Settings, Start, invert_map
 from tactorch.mesh import Box, TetMesh, face_nodes
 from tactorch.mesh.tetmesh import FaceName
 from tactorch.phantoms import Phantom, make_phantom
@@ -91,7 +91,9 @@ def invert_blindly(
     recording: Recording, settings: Settings | None = None, start: Start = START_MPA
 ) -> Reconstruction:
     """Invert a recording without its truth, from the start of the paper by default."""
-    return invert(replace(recording, truth=None), settings, start_mpa=start, show_progress=False)
+    return invert_map(
+        replace(recording, truth=None), settings, start_mpa=start, show_progress=False
+    )
 
 
 def lower_nodes(mesh: TetMesh) -> np.ndarray:

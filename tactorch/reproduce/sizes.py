@@ -18,8 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tactorch.findings import find_lumps
-from tactorch.inverse import NuisancePrior, Settings
+from tactorch.inverse import NuisancePrior, Settings, find_lumps
 from tactorch.metrics import pearson
 from tactorch.phantoms import make_phantom
 from tactorch.reproduce.cases import CaseResult, CaseSettings, Exhibit, Results, Table

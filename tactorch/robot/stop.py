@@ -63,6 +63,6 @@ def position_width_mm(lump: Mapping[str, Any]) -> float:
     """Return the width of the 90 % interval of a lump's centre, mm, along its widest axis.
 
     Args:
-        lump: Plain values of a lump, see `tactorch.findings.Lump.plain`.
+        lump: Plain values of a lump, see `tactorch.inverse.Lump.plain`.
     """
     return _SPAN * float(np.max(lump["center_deviation_mm"]))

@@ -1,24 +1,26 @@
-"""The finding of a growing recording: shapes that are fitted to its presses, else its map's."""
+"""The result of a growing recording: inclusions that are fitted to its presses, else its map."""
 
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from tactorch.errors import CancelledError, ConvergenceError, FileError
 from tactorch.files import read_json, write_json
-from tactorch.findings import SHAPES, Finding, build_shape_finding, find
-from tactorch.inverse import Reconstruction, Settings, ShapeReconstruction
+from tactorch.inverse import Reconstruction, Settings, ShapeReconstruction, invert
+from tactorch.inverse.result.build import config_of, of_inclusions
 from tactorch.inverse.shapes import KeptRims, ShapeState
 from tactorch.inverse.shapes.draft import DraftShapes
 from tactorch.recording import Recording
 
-_COUNT = "presses"  # in the file of the shapes: the number of presses that they are fitted to
+SHAPES = "shapes.json"  # the inclusions that were fitted last, and to how many presses
+_COUNT = "presses"
 
 
 class InclusionSearch:
-    """Shapes of a growing recording, each fitted from those before.
+    """Inclusions of a growing recording, each fitted from those before.
 
-    The shapes are kept in a file, with the number of presses that they are fitted to.
+    They are kept in a file, with the number of presses that they are fitted to.
 
     Args:
         settings: Settings of the inversions.
@@ -26,56 +28,54 @@ class InclusionSearch:
     """
 
     def __init__(self, settings: Settings, folder: str | Path | None) -> None:
-        self._settings, self._kept = settings, KeptRims()
+        self._settings, self._kept = replace(settings, method="inclusions"), KeptRims()
         self._path = None if folder is None else Path(folder) / SHAPES
-        self._last: tuple[Finding, int] | None = None  # of shapes, and of how many presses
+        self._last: tuple[Reconstruction, int] | None = None  # of inclusions, and how many presses
         self._reached: ShapeState | None = None  # by a search that was stopped
 
-    def present(self, recording: Recording, reconstruction: Reconstruction) -> tuple[Finding, int]:
-        """Return the finding before a search, and the number of presses that it is of.
+    def present(self, recording: Recording, elements: Reconstruction) -> tuple[Reconstruction, int]:
+        """Return the result before a search, and the number of presses that it is of.
 
-        It is of the last shapes, if there are any. Those of fewer presses give way to a map that
-        cannot be trusted, as the new presses may contradict them.
+        It is by the last inclusions, if there are any. Those of fewer presses give way to a map
+        that cannot be trusted, as the new presses may contradict them.
 
         Args:
             recording: All presses.
-            reconstruction: Their map.
+            elements: Their element map.
         """
         count, last = len(recording.presses), self._last
-        if last is not None and (last[1] == count or not reconstruction.warnings):
-            return last
-        return find(recording, reconstruction, shapes=False, uncertainty=False), count
+        if last is not None and (last[1] == count or not elements.reasons):
+            return replace(last[0], other=elements), last[1]
+        return elements, count
 
     def search(
-        self, recording: Recording, reconstruction: Reconstruction, stop: Callable[[], bool]
-    ) -> Finding:
-        """Fit shapes to all presses, and return their finding; that of the map where this fails.
+        self, recording: Recording, elements: Reconstruction, stop: Callable[[], bool]
+    ) -> Reconstruction:
+        """Fit inclusions to all presses; return the element map where this fails.
 
         Raises:
             CancelledError: `stop` returned True. The next search starts from what this one reached.
         """
         try:
-            finding = self._find(recording, reconstruction, stop)
+            result = self._find(recording, stop)
         except CancelledError as error:
             self._reached = error.reached or self._reached
             raise
+        except ConvergenceError as error:
+            self._reached = None
+            return elements.with_warning(f"No inclusions can be fitted ({error}).")
         self._reached = None
-        if finding.shapes is not None:
-            self._last = finding, len(recording.presses)
-            if self._path is not None:
-                write_json(self._path, {**finding.shapes.plain(), _COUNT: self._last[1]})
-        return finding
+        self._last = result, len(recording.presses)
+        if self._path is not None and result.shapes is not None:
+            write_json(self._path, {**result.shapes.plain(), _COUNT: self._last[1]})
+        return replace(result, other=elements)
 
-    def _find(
-        self, recording: Recording, reconstruction: Reconstruction, stop: Callable[[], bool]
-    ) -> Finding:
-        return find(
-            recording, reconstruction, self._settings,
-            uncertainty=False, start=self._reached or self.shapes, stop=stop, kept=self._kept,
-        )  # fmt: skip
+    def _find(self, recording: Recording, stop: Callable[[], bool]) -> Reconstruction:
+        search: dict[str, Any] = {"start": self._reached or self.shapes, "kept": self._kept}
+        return invert(recording, self._settings, stop=stop, **search)
 
     def restore(self, recording: Recording) -> None:
-        """Read the shapes of a run that is continued; those that cannot be read are ignored.
+        """Read the inclusions of a run that is continued; those that cannot be read are ignored.
 
         Args:
             recording: All presses of the run.
@@ -88,17 +88,19 @@ class InclusionSearch:
         except (FileError, KeyError, TypeError, ValueError):
             return
         if 0 < count <= len(recording.presses):
-            finding = build_shape_finding(recording.select(range(count)), shapes)
-            self._last = finding, count
+            self._last = self._result(recording.select(range(count)), shapes), count
+
+    def _result(self, recording: Recording, shapes: ShapeReconstruction) -> Reconstruction:
+        return of_inclusions(recording, shapes, config_of(recording, self._settings), 0.0)
 
     def clear(self) -> None:
-        """Remove the shapes of an earlier run."""
+        """Remove the inclusions of an earlier run."""
         if self._path is not None:
             self._path.unlink(missing_ok=True)
 
     @property
     def shapes(self) -> ShapeReconstruction | None:
-        """Shapes that were fitted last; None if there are none."""
+        """Inclusions that were fitted last; None if there are none."""
         return None if self._last is None else self._last[0].shapes
 
 
@@ -115,13 +117,5 @@ class DraftInclusionSearch(InclusionSearch):
         super().__init__(settings, folder)
         self._draft = draft
 
-    def _find(
-        self, recording: Recording, reconstruction: Reconstruction, stop: Callable[[], bool]
-    ) -> Finding:
-        try:
-            shapes = self._draft.fit(recording, self.shapes, stop)
-        except ConvergenceError as error:
-            finding = find(recording, reconstruction, shapes=False, uncertainty=False)
-            note = f"The finding is that of the map: no balls can be fitted ({error})."
-            return replace(finding, notes=(note, *finding.notes))
-        return build_shape_finding(recording, shapes)
+    def _find(self, recording: Recording, stop: Callable[[], bool]) -> Reconstruction:
+        return self._result(recording, self._draft.fit(recording, self.shapes, stop))

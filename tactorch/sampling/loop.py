@@ -20,10 +20,15 @@ from tactorch.errors import (
     RecordingError,
 )
 from tactorch.files import read_arrays, write_arrays, write_file
-from tactorch.findings import Finding, find_lump
-from tactorch.inverse import IncrementalInversion, IncrementalResult, Settings, Start, StopReason
+from tactorch.inverse import (
+    IncrementalInversion,
+    IncrementalResult,
+    Reconstruction,
+    Settings,
+    Start,
+    StopReason,
+)
 from tactorch.inverse.starts import START_MPA
-from tactorch.metrics import Inclusion
 from tactorch.recording import Recording
 from tactorch.sampling.inclusions import InclusionSearch
 from tactorch.sampling.sources import Arrival, PressSource
@@ -49,11 +54,6 @@ class LoopOptions(Options):
     idle_seconds: float | None = option(
         None, "Time without a new press after which the run ends", unit="s", gt=0
     )
-    shapes: bool = option(
-        True,
-        "Fit inclusions with sharp boundaries to the presses while none waits; false: lumps are "
-        "regions of the map",
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,28 +62,26 @@ class Update:
 
     Attributes:
         recording: All presses so far.
-        solution: Result of the inversion; its history is that of this update.
-        lump: Most conspicuous lump of the map; None if none stands out.
-        finding: Lumps of the shapes that were fitted last, or of the map.
-        finding_presses: Number of presses that the finding is of, the first ones of the recording.
+        solution: Element map of all presses; its history is that of this update.
+        result: The result that is shown: by the inclusions that were fitted last, or the map.
+        result_presses: Number of presses that the result is of, the first ones of the recording.
         entry: Line of the history, plain values: press (number so far), names, seconds,
-            iterations, chi2, weight, inclusion, finding, finding_presses, searched (whether shapes
-            were fitted to all presses), deviation, next and more.
+            iterations, chi2, weight, finding, finding_presses, searched (whether inclusions were
+            fitted to all presses), deviation, next and more.
         suggestion: Suggested next press; None until it is known.
     """
 
     recording: Recording
     solution: IncrementalResult
-    lump: Inclusion | None
-    finding: Finding
-    finding_presses: int
+    result: Reconstruction
+    result_presses: int
     entry: dict[str, Any]
     suggestion: Suggestion | None = None
 
     @property
     def youngs(self) -> np.ndarray:
-        """The map, MPa."""
-        return self.solution.result.youngs
+        """Young's modulus of each element in the result, MPa."""
+        return self.result.youngs
 
     @property
     def rms_deviation(self) -> float | None:
@@ -102,7 +100,7 @@ class Update:
             }
         update.entry.update(
             deviation=update.rms_deviation,
-            deviation_inclusion=None if self.lump is None else update._rms(self.lump.elements),
+            deviation_inclusion=update._rms_in_lump(),
             next=place,
             next_why_not=suggestion.reason,
             next_rule=suggestion.rule,
@@ -110,11 +108,15 @@ class Update:
         )
         return update
 
-    def found(self, finding: Finding) -> "Update":
-        """Return the update with the finding of a search in all presses, also in its entry."""
+    def found(self, result: Reconstruction) -> "Update":
+        """Return the update with the result of a search in all presses, also in its entry."""
         count = len(self.recording.presses)
-        self.entry.update(finding=finding.plain(), finding_presses=count, searched=True)
-        return replace(self, finding=finding, finding_presses=count)
+        self.entry.update(finding=result.plain(), finding_presses=count, searched=True)
+        return replace(self, result=result, result_presses=count)
+
+    def _rms_in_lump(self) -> float | None:
+        lumps = self.solution.result.lumps
+        return self._rms(lumps[0].inclusion.elements) if lumps else None
 
     def _rms(self, elements: np.ndarray) -> float | None:
         deviation = None if self.suggestion is None else self.suggestion.deviation
@@ -143,7 +145,7 @@ class Observer:
         """The next press was suggested."""
 
     def found(self, update: Update) -> None:
-        """Shapes were fitted to all presses, or cannot be: the finding is of all presses."""
+        """Inclusions were fitted to all presses, or cannot be: the result is of all presses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +208,8 @@ class SamplingLoop:
 
     Args:
         source: Source of presses.
-        settings: Settings of the inversions.
+        settings: Settings of the inversions; with `method="map"` no inclusions are fitted while no
+            press waits.
         folder: Folder of the run; a run there is continued. None keeps none.
         observers: Receive the loop's events.
         options: Pace and end.
@@ -243,7 +246,7 @@ class SamplingLoop:
         self._store = None if folder is None else Store(folder, digest)
         self._inclusions = inclusions or InclusionSearch(settings, folder)
         self._closed_end = end
-        self._fits_shapes = self._options.shapes and not restart
+        self._fits_shapes = settings.method != "map" and not restart
         self._waiting: list[Arrival] = []
         self._done: list[Arrival] = []
         self._history: list[dict[str, Any]] = []
@@ -374,14 +377,15 @@ class SamplingLoop:
         if update is None or not self._lacks_shapes() or stop():
             return
         try:
-            finding = self._inclusions.search(update.recording, update.solution.result, stop)
+            result = self._inclusions.search(update.recording, update.solution.result, stop)
         except CancelledError:
             return
-        self._update = update.found(finding)
+        self._update = update.found(result)
         self._save()
+        self._save_result(result)
         for observer in self._observers:
             observer.found(self._update)
-        has_shapes = finding.shapes is not None and bool(finding.shapes.inclusions)
+        has_shapes = result.shapes is not None and bool(result.shapes.inclusions)
         if self._suggester.uses_shapes and (has_shapes or self._closed_end is not None):
             self._suggest()
 
@@ -405,8 +409,7 @@ class SamplingLoop:
     def _publish(self, solution: IncrementalResult, names: list[str], seconds: float) -> None:
         assert self._inversion is not None
         result, recording = solution.result, self._inversion.recording
-        lump = find_lump(recording.mesh, result.youngs)
-        finding, finding_presses = self._inclusions.present(recording, result)
+        shown, presses = self._inclusions.present(recording, result)
         searched = not names and bool(self._history) and self._history[-1].get("searched", False)
         entry = {
             "press": len(self._done),
@@ -418,18 +421,20 @@ class SamplingLoop:
             "chi2": float(result.history[-1]["chi2"]),
             "weight": solution.weight,
             "youngs_median_mpa": float(np.median(result.youngs)),
-            "inclusion": None if lump is None else lump.plain(),
-            "finding": finding.plain(),
-            "finding_presses": finding_presses,
+            "finding": shown.plain(),
+            "finding_presses": presses,
             "searched": searched,
         }
         self._history.append(entry)
-        self._update = Update(recording, solution, lump, finding, finding_presses, entry)
+        self._update = Update(recording, solution, shown, presses, entry)
         self._save()
-        if self._store is not None:
-            result.save(self._store.folder / RESULT)
+        self._save_result(shown)
         for observer in self._observers:
             observer.updated(self._update)
+
+    def _save_result(self, result: Reconstruction) -> None:
+        if self._store is not None:
+            result.save(self._store.folder / RESULT)
 
     def _save(self) -> None:
         if self._store is not None and self._inversion is not None:

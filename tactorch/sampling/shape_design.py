@@ -211,7 +211,7 @@ def _design(state: SamplingState) -> tuple[ShapeDesign, list[int], list[Jacobian
     if shapes is None or known is None or per_log is None:
         raise ConfigError(
             "this rule needs shapes that are fitted to the presses, and there are none yet; wait "
-            "for them (live.shapes=true), or choose suggest.rule=auto."
+            "for them (method=inclusions), or choose suggest.rule=auto."
         )
     remaining = state.remaining
     predicted = [None if j is None else j * per_log for j in state.jacobians(remaining)]

@@ -6,7 +6,7 @@ No text is parsed as mathtext, because names may come from files.
 from tactorch.viz.comparison import comparison_figure
 from tactorch.viz.convergence import convergence_figure
 from tactorch.viz.figure import save_figure
-from tactorch.viz.shapes import shape_figure
+from tactorch.viz.reconstruction import reconstruction_figure
 from tactorch.viz.slices import slice_figure
 from tactorch.viz.uncertainty import (
     calibration_figure,
@@ -23,8 +23,8 @@ __all__ = [
     "credibility_figure",
     "depth_figure",
     "layer_figure",
+    "reconstruction_figure",
     "sampling_figure",
     "save_figure",
-    "shape_figure",
     "slice_figure",
 ]

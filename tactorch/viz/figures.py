@@ -5,9 +5,8 @@
 | `TetMesh` | surface, seen from a corner | `values`, `label` |
 | `Recording` | displacement and force of presses; forces by a probe over the surface | |
 | `Phantom` | slices of Young's modulus | `point_mm` |
-| `Reconstruction` | slices of the map | those of `slice_figure` |
-| `ShapeReconstruction` | slices of the shapes | `point_mm` |
-| `Finding` | slices of the lumps in the body | `cmap` |
+| `Reconstruction` | slices of the result | those of `reconstruction_figure` |
+| `ShapeReconstruction` | slices of the inclusions | `point_mm` |
 """
 
 import base64
@@ -21,16 +20,14 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from tactorch.display import Displayed
-from tactorch.findings import Finding
 from tactorch.inverse import Reconstruction, ShapeReconstruction
 from tactorch.mesh import TetMesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import Recording
 from tactorch.viz.field import field_figure
 from tactorch.viz.palpation import palpation_figure
+from tactorch.viz.reconstruction import reconstruction_figure
 from tactorch.viz.session import presses_figure
-from tactorch.viz.shapes import shape_figure
-from tactorch.viz.slices import slice_figure
 from tactorch.viz.surface import surface_figure
 
 _DPI = 80  # of pictures in notebooks
@@ -70,7 +67,7 @@ def _(phantom: Phantom, *, point_mm: Float[np.ndarray, "3"] | None = None) -> Fi
 
 @make_figure.register(Reconstruction)
 def _(result: Reconstruction, **options: Any) -> Figure:
-    return slice_figure(result.mesh, result.youngs, **options)
+    return reconstruction_figure(result, **options)
 
 
 @make_figure.register(ShapeReconstruction)
@@ -80,17 +77,6 @@ def _(shapes: ShapeReconstruction, *, point_mm: Float[np.ndarray, "3"] | None = 
         found = shapes.inclusions
         point_mm = np.array(found[0].shape.center_mm) if found else 0.5 * (low + high)
     return field_figure(shapes.youngs_at, (low, high), point_mm)
-
-
-@make_figure.register(Finding)
-def _(finding: Finding, *, cmap: str = "viridis") -> Figure:
-    mesh = finding.mesh
-    if finding.shapes is not None:
-        return shape_figure(mesh, finding.shapes, cmap=cmap)
-    youngs = np.full(mesh.n_tets, finding.background_mpa)
-    for lump in finding.lumps:
-        youngs[lump.inclusion.elements] = lump.inclusion.mean_mpa
-    return slice_figure(mesh, youngs, n_slices=3, cmap=cmap)
 
 
 def make_html(thing: Displayed) -> str:

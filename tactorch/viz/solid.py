@@ -13,21 +13,19 @@ import numpy as np
 
 from tactorch.errors import ConfigError
 from tactorch.files import atomic_path
-from tactorch.findings import Finding
 from tactorch.inverse import Reconstruction, ShapeReconstruction
-from tactorch.inverse.shapes import Ellipsoid
 from tactorch.mesh import TetMesh
 from tactorch.phantoms import Phantom
 from tactorch.progress import in_notebook
 from tactorch.recording import Recording
 from tactorch.viz.figure import BLUE, MODULUS_LABEL, VERMILION
+from tactorch.viz.lump_surfaces import Surface, lump_surfaces
 
 if TYPE_CHECKING:
     import pyvista
 
 _YOUNGS = "youngs_mpa"
 _SAMPLES = 3  # of the modulus of a phantom along an edge of an element
-_RESOLUTION = 40  # of ellipsoids
 _ARROW = 0.1  # longest arrow, over the diagonal of the body
 _MIN_FORCE = 0.05  # of the nodes with an arrow, over the largest
 _BODY, _STIFF, _SOFT = "lightsteelblue", VERMILION, BLUE
@@ -100,32 +98,19 @@ def _(phantom: Phantom) -> "pyvista.UnstructuredGrid":
 
 @to_pyvista.register(ShapeReconstruction)
 def _(shapes: ShapeReconstruction) -> "pyvista.MultiBlock":
-    found = [(inclusion.shape, inclusion.youngs_mpa) for inclusion in shapes.inclusions]
-    return _blocks([_ellipsoid(*each) for each in found])
-
-
-@to_pyvista.register(Finding)
-def _(finding: Finding) -> "pyvista.MultiBlock":
-    if finding.shapes is not None:
-        return to_pyvista(finding.shapes)
-    grid, parts = to_pyvista(finding.mesh), []
-    for lump in finding.lumps:
-        part = grid.extract_cells(np.flatnonzero(lump.inclusion.elements))
-        part.cell_data[_YOUNGS] = np.full(part.n_cells, lump.inclusion.mean_mpa)
-        parts.append(part)
-    return _blocks(parts)
+    return _blocks([_closed(lump.best, lump.youngs_mpa) for lump in lump_surfaces(shapes)])
 
 
 def _blocks(parts: Sequence["pyvista.DataSet"]) -> "pyvista.MultiBlock":
     return _pyvista().MultiBlock({f"lump {number}": part for number, part in enumerate(parts, 1)})
 
 
-def _ellipsoid(shape: Ellipsoid, youngs_mpa: float) -> "pyvista.PolyData":
-    ball = _pyvista().Sphere(theta_resolution=_RESOLUTION, phi_resolution=_RESOLUTION, radius=1.0)
-    stretched = ball.points @ (np.array(shape.semi_axes_mm)[:, None] * np.array(shape.axes))
-    ball.points = stretched + shape.center_mm
-    ball.cell_data[_YOUNGS] = np.full(ball.n_cells, youngs_mpa)
-    return ball
+def _closed(surface: Surface, youngs_mpa: float) -> "pyvista.PolyData":
+    closed: pyvista.PolyData = _pyvista().PolyData.from_regular_faces(
+        surface.points, surface.triangles
+    )
+    closed.cell_data[_YOUNGS] = np.full(closed.n_cells, youngs_mpa)
+    return closed
 
 
 def show(thing: object, screenshot: str | Path | None, **options: Any) -> None:
@@ -188,8 +173,21 @@ def _(recording: Recording, plotter: "pyvista.Plotter") -> None:
 
 
 @draw.register(Reconstruction)
+def _(result: Reconstruction, plotter: "pyvista.Plotter") -> None:
+    if result.shapes is None:
+        _draw_half(result, plotter)
+        return
+    plotter.add_mesh(_surface(result.mesh), color=_BODY, opacity=0.15)
+    _draw_lumps(plotter, to_pyvista(result.shapes), result.background_mpa)
+
+
 @draw.register(Phantom)
-def _(thing: Reconstruction | Phantom, plotter: "pyvista.Plotter") -> None:
+def _(phantom: Phantom, plotter: "pyvista.Plotter") -> None:
+    _draw_half(phantom, plotter)
+
+
+def _draw_half(thing: Reconstruction | Phantom, plotter: "pyvista.Plotter") -> None:
+    """Draw the modulus of the half of a body behind a cut."""
     grid = to_pyvista(thing)
     outline = grid.extract_surface(algorithm="dataset_surface")
     plotter.add_mesh(outline, color=_BODY, opacity=0.15)
@@ -205,12 +203,6 @@ def _(shapes: ShapeReconstruction, plotter: "pyvista.Plotter") -> None:
     box = np.stack([low, high], axis=1).ravel()
     plotter.add_mesh(_pyvista().Box(bounds=box), style="wireframe", color="grey")
     _draw_lumps(plotter, to_pyvista(shapes), shapes.background_mpa)
-
-
-@draw.register(Finding)
-def _(finding: Finding, plotter: "pyvista.Plotter") -> None:
-    plotter.add_mesh(_surface(finding.mesh), color=_BODY, opacity=0.2)
-    _draw_lumps(plotter, to_pyvista(finding), finding.background_mpa)
 
 
 def _surface(mesh: TetMesh) -> "pyvista.PolyData":

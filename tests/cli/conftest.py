@@ -150,6 +150,6 @@ def recording(recording_file: Path, tmp_path: Path) -> Path:
 def finished_run(recording_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of an inversion of one iteration."""
     folder = tmp_path_factory.mktemp("finished") / "run"
-    quick = ("plots=false", "find=false", "optimizer.max_iterations=1")
+    quick = ("plots=false", "method=map", "optimizer.max_iterations=1")
     assert run_here(("invert", f"recording={recording_file}", f"run_dir={folder}", *quick)) == 0
     return folder

@@ -49,7 +49,7 @@ def test_a_volume_is_simulated_and_inverted_by_region(
     assert set(Recording.load(recording).mesh.regions) == {1, 2}
     done = tactorch(
         "invert", f"recording={recording}", f"run_dir={run}", "initialization=regions",
-        "regularization=tikhonov", "regularization.region_mpa={1: 0.1, 2: 0.4}", "find=false",
+        "regularization=tikhonov", "regularization.region_mpa={1: 0.1, 2: 0.4}", "method=map",
         "plots=false", "optimizer.max_iterations=3",
     )  # fmt: skip
     assert done.status == 0, done.err

@@ -11,7 +11,7 @@ import pytest
 from tactorch.inverse import Reconstruction
 from tactorch.recording import Recording
 
-QUICK = ("plots=false", "find=false", "optimizer.max_iterations=2")
+QUICK = ("plots=false", "method=map", "optimizer.max_iterations=2")
 TINY = ("mesh=coarse", "mesh.relative_edge_length=0.35", "mesh.fine_relative=null", "press.steps=1")
 NUMBERS = ("seconds", "iterations", "misfit", "rmse_mpa", "pearson", "ssim", "psnr")
 
@@ -86,7 +86,7 @@ def test_invert_leaves_map_and_summary(
     folder = tmp_path / "run"
     done = tactorch(
         "invert", f"recording={recording}", f"optimizer={optimizer}", f"run_dir={folder}",
-        brief, "plots=false", "find=false",
+        brief, "plots=false", "method=map",
     )  # fmt: skip
     assert done.status == 0, done.err
     summary = summary_of(folder)
@@ -107,7 +107,7 @@ def test_a_map_at_its_bounds_is_told(
     """The body has 0.2 MPa, so that a bound above it holds nearly all of the map."""
     done = tactorch(
         "invert", f"recording={recording}", f"run_dir={tmp_path}", f"bounds.lower={lower}",
-        "initialization.start_mpa=0.4", "optimizer.max_iterations=5", "plots=false", "find=false",
+        "initialization.start_mpa=0.4", "optimizer.max_iterations=5", "plots=false", "method=map",
     )  # fmt: skip
     assert done.status == 0, done.err
     content = (tmp_path / "summary.txt").read_text()
@@ -136,7 +136,7 @@ def test_run_folder_tells_how_it_came_about(tactorch: Any, recording: Path, tmp_
 def test_pictures_are_drawn_with_other_runs_beside(
     tactorch: Any, recording: Path, tmp_path: Path
 ) -> None:
-    run = ("invert", f"recording={recording}", "optimizer.max_iterations=1", "find=false")
+    run = ("invert", f"recording={recording}", "optimizer.max_iterations=1", "method=map")
     assert tactorch(*run, "run_dir=a/0", "plots=false").status == 0
     # Runs of one optimizer in folders of one name still are curves of their own.
     shutil.copytree("a/0", "b/0")
@@ -214,7 +214,7 @@ def test_demo_simulates_and_inverts(tactorch: Any) -> None:
 
 
 def test_demo_runs_on_a_published_case(tactorch: Any, published: Path) -> None:
-    quick = (*QUICK, "find=true")
+    quick = (*QUICK, "method=auto")
     done = tactorch("demo", "source=published", f"path={published}", "run_dir=d", *quick)
     assert done.status == 0, done.err
     summary = summary_of(Path("d"))
@@ -243,7 +243,7 @@ def test_wrong_setting_spares_the_results_in_the_folder(tactorch: Any, recording
 
 def test_time_limit_keeps_the_best_map(tactorch: Any, recording: Path) -> None:
     done = tactorch(
-        "invert", f"recording={recording}", "run_dir=run", "plots=false", "find=false",
+        "invert", f"recording={recording}", "run_dir=run", "plots=false", "method=map",
         "max_seconds=1e-6",
     )  # fmt: skip
     assert done.status == 0, done.err

@@ -14,7 +14,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
 main(sys.argv[2:])
 """
 TINY = ("mesh=coarse", "mesh.relative_edge_length=0.35", "mesh.fine_relative=null", "press=top")
-INVERT = ("recording={recording}", "plots=false", "find=false", "optimizer.max_iterations=1")
+INVERT = ("recording={recording}", "plots=false", "method=map", "optimizer.max_iterations=1")
 DATASET = (
     "dataset.count=2", "dataset.reconstruct=false", "dataset.mesh.relative_edge_length=0.3",
     "dataset.mesh.fine_relative=null", "workers=1", "card=false", "out=run/data",

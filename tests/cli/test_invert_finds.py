@@ -46,7 +46,7 @@ def test_the_finding_is_written_and_in_the_summary(tactorch: Any, recording: Pat
 
 
 def test_without_find_the_summary_is_of_the_map_alone(tactorch: Any, recording: Path) -> None:
-    done = tactorch("invert", f"recording={recording}", "run_dir=run", "find=false", *QUICK)
+    done = tactorch("invert", f"recording={recording}", "run_dir=run", "method=map", *QUICK)
     assert done.status == 0, done.err
     assert not files_of("run")
     assert "finding" not in summary_of("run")
@@ -127,10 +127,10 @@ def test_each_job_of_a_sweep_has_its_finding(tactorch: Any, recording: Path) -> 
 
 @pytest.mark.usefixtures("failing_search")
 def test_a_resumed_run_finds_again(tactorch: Any, recording: Path) -> None:
-    start = ("invert", f"recording={recording}", "run_dir=run", *QUICK, "find=false")
+    start = ("invert", f"recording={recording}", "run_dir=run", *QUICK, "method=map")
     assert tactorch(*start).status == 0
     assert not files_of("run")
-    done = tactorch("invert", "resume=run", "find=true", "optimizer.max_iterations=3")
+    done = tactorch("invert", "resume=run", "method=auto", "optimizer.max_iterations=3")
     assert done.status == 0, done.err
     assert files_of("run") == {"finding.json", "finding.txt"}
     assert summary_of("run")["iterations"] == 3

@@ -7,7 +7,7 @@ import pytest
 
 from tactorch.inverse import PRIORS, Reconstruction
 
-QUICK = ("plots=false", "find=false", "optimizer.max_iterations=1", "run_dir=run")
+QUICK = ("plots=false", "method=map", "optimizer.max_iterations=1", "run_dir=run")
 
 
 @pytest.mark.parametrize(

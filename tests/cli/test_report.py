@@ -62,7 +62,7 @@ def test_all_runs_are_read_before_a_surrogate_predicts(
 def test_a_prior_about_a_surrogates_map_is_made_again(tactorch: Any, recording_file: Path) -> None:
     """The result holds the checksum of that map only."""
     about = ("initialization=surrogate", "initialization.prior_mean=true")
-    quick = ("plots=false", "find=false", "optimizer.max_iterations=1", "run_dir=run")
+    quick = ("plots=false", "method=map", "optimizer.max_iterations=1", "run_dir=run")
     done = tactorch("invert", f"recording={recording_file}", *about, *quick)
     assert "The surrogate's map is the mean of the prior" in done.out
     assert tactorch("report", "run").status == 0

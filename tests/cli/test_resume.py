@@ -13,7 +13,7 @@ import pytest
 from tactorch.inverse import Monitor, Reconstruction
 
 RUN = (
-    *("plots=false", "find=false", "run_dir=run"),
+    *("plots=false", "method=map", "run_dir=run"),
     *("regularization.weight=5", "optimizer.tolerance=1e-9"),
 )
 
@@ -78,7 +78,7 @@ def test_a_run_stopped_before_its_first_checkpoint_starts_anew(
 
 def test_resume_repeats_the_settings_of_the_run(tactorch: Any, recording: Path) -> None:
     tactorch(
-        "invert", f"recording={recording}", "run_dir=run", "plots=false", "find=false",
+        "invert", f"recording={recording}", "run_dir=run", "plots=false", "method=map",
         "optimizer=lbfgs", "optimizer.max_iterations=2",
     )  # fmt: skip
     done = tactorch("invert", "resume=run", "optimizer.max_iterations=3", "run_dir=further")

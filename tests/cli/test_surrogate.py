@@ -78,7 +78,7 @@ def test_an_inversion_uses_it(
     done = tactorch(
         "invert", f"recording={case}", "initialization=surrogate", "plots=false",
         f"initialization.weights={weights}", f"initialization.prior_mean={prior_mean}",
-        "optimizer.max_iterations=2", "find=false", f"run_dir={tmp_path / 'out'}",
+        "optimizer.max_iterations=2", "method=map", f"run_dir={tmp_path / 'out'}",
     )  # fmt: skip
     assert done.status == 0, done.err
     summary = (tmp_path / "out" / "summary.json").read_text()

@@ -8,7 +8,7 @@ import pytest
 
 from tactorch.cli.sweep import Job, make_table, register_names
 
-QUICK = ("optimizer.max_iterations=1", "find=false", "plots=false")
+QUICK = ("optimizer.max_iterations=1", "method=map", "plots=false")
 
 
 def test_a_sweep_ends_with_a_table_and_a_picture_of_all_runs(

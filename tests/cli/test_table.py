@@ -30,7 +30,7 @@ def test_a_table_is_imported_and_inverted(tactorch: Any, recording_file: Path) -
     np.testing.assert_allclose(
         made.presses[1].displacement, recording.presses[1].displacement, atol=1e-12
     )
-    quick = ("plots=false", "find=false", "optimizer.max_iterations=1")
+    quick = ("plots=false", "method=map", "optimizer.max_iterations=1")
     assert tactorch("invert", "recording=presses.h5", *quick).status == 0
 
 

@@ -66,7 +66,7 @@ def test_a_trusted_package_adds_a_component_with_its_settings_and_checks(
     done = tactorch(*chosen, "regularization.share=-1")
     assert "regularization.share=-1: give a number above 0" in done.err
     assert "unknown setting 'regularization.shar'" in tactorch(*chosen, "regularization.shar=1").err
-    done = tactorch(*chosen, "find=false", "optimizer.max_iterations=1", "run_dir=run")
+    done = tactorch(*chosen, "method=map", "optimizer.max_iterations=1", "run_dir=run")
     assert done.status == 0, done.err
     assert Path("run/reconstruction.h5").is_file()
 

@@ -22,7 +22,7 @@ def test_log_messages_have_no_control_characters(
     tactorch: Any, recording: Path, tmp_path: Path
 ) -> None:
     run = tmp_path / "run"
-    quick = ("find=false", "optimizer.max_iterations=1")
+    quick = ("method=map", "optimizer.max_iterations=1")
     assert tactorch("invert", f"recording={recording}", f"run_dir={run}", *quick).status == 0
     summary = json.loads((run / "summary.json").read_text())
     summary["recording"] = f"{RED}.h5"

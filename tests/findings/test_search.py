@@ -10,7 +10,7 @@ import pytest
 import tactorch
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.findings import Finding, Status, build_finding, build_shape_finding, find
-from tactorch.inverse import GaussNewton, Reconstruction, Settings, invert
+from tactorch.inverse import GaussNewton, Reconstruction, Settings, invert_map
 from tactorch.inverse.shapes import KeptRims, ShapeReconstruction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.posterior import ShapePosterior
@@ -31,7 +31,7 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="module")
 def result(recording: Recording) -> Reconstruction:
-    return invert(recording, SETTINGS, show_progress=False)
+    return invert_map(recording, SETTINGS, show_progress=False)
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from tactorch.inverse import (
     Objective,
     Quadratic,
     Settings,
-    invert,
+    invert_map,
 )
 from tactorch.inverse.fields import ElementField
 from tactorch.inverse.starts import CoarseStart, clusters
@@ -82,7 +82,7 @@ def test_a_coarse_start_is_nearer_than_a_uniform_one(make_cube: Callable[..., Re
 def test_it_starts_an_inversion(make_cube: Callable[..., Recording]) -> None:
     cube = make_cube(snr_db=30.0, seed=1)
     settings = Settings(optimizer=NewtonCG())
-    found, plain = (invert(cube, settings, start_mpa=s) for s in (CoarseStart(12), 0.2))
+    found, plain = (invert_map(cube, settings, start_mpa=s) for s in (CoarseStart(12), 0.2))
     assert found.history[0]["chi2"] < 0.5 * plain.history[0]["chi2"]
     assert found.config["start_mpa"] == "CoarseStart"
     assert np.corrcoef(found.youngs, plain.youngs)[0, 1] > 0.98

@@ -16,7 +16,7 @@ from tactorch.inverse import (
     Reconstruction,
     Settings,
     StopReason,
-    invert,
+    invert_map,
 )
 from tactorch.inverse.optimizers.schedule import warm_start_state
 from tactorch.mesh import box_mesh
@@ -42,7 +42,7 @@ def noisy() -> Recording:
 
 @pytest.fixture(scope="module")
 def whole(noisy: Recording) -> Reconstruction:
-    return invert(noisy)
+    return invert_map(noisy)
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_restarted_updates_are_whole_inversions_from_the_map_before(
     start: Any = 0.2
     for count in (1, 3):
         update = growing.add(noisy.presses[len(growing.presses) : count])
-        whole = invert(noisy.select(list(range(count))), settings, start_mpa=start)
+        whole = invert_map(noisy.select(list(range(count))), settings, start_mpa=start)
         np.testing.assert_allclose(update.result.youngs, whole.youngs, rtol=1e-6)
         assert update.result.iterations == whole.iterations
         assert update.converged

@@ -22,7 +22,7 @@ from tactorch.inverse import (
     ShiftedPrior,
     Smoothness,
     StopReason,
-    invert,
+    invert_map,
 )
 from tactorch.inverse.invert import _task_digest
 from tactorch.inverse.misfit import Huber
@@ -42,7 +42,7 @@ def test_the_truth_does_not_leak(recording: Recording, name: str) -> None:
     random = rng.uniform(0.01, 2.0, recording.mesh.n_tets)
     limit = {"max_evaluations": 12} if name == "tnc" else {"max_iterations": 4}
     maps = [
-        invert(
+        invert_map(
             other, Settings(optimizer=OPTIMIZERS.build({"name": name, **limit}))
         ).youngs.tobytes()
         for other in (
@@ -55,17 +55,17 @@ def test_the_truth_does_not_leak(recording: Recording, name: str) -> None:
 
 
 def test_runs_repeat_bit_for_bit(recording: Recording) -> None:
-    one, other = invert(recording, SHORT), invert(recording, SHORT)
+    one, other = invert_map(recording, SHORT), invert_map(recording, SHORT)
     assert one.youngs.tobytes() == other.youngs.tobytes()
     assert one.displacements.tobytes() == other.displacements.tobytes()
 
 
 def test_starts(recording: Recording) -> None:
     stay = Settings(max_seconds=1e-9)
-    np.testing.assert_allclose(invert(recording, stay).youngs, START_MPA)
-    np.testing.assert_allclose(invert(recording, stay, start_mpa=1).youngs, 1.0)
+    np.testing.assert_allclose(invert_map(recording, stay).youngs, START_MPA)
+    np.testing.assert_allclose(invert_map(recording, stay, start_mpa=1).youngs, 1.0)
     field = np.linspace(0.1, 0.9, recording.mesh.n_tets)
-    np.testing.assert_allclose(invert(recording, stay, start_mpa=field).youngs, field)
+    np.testing.assert_allclose(invert_map(recording, stay, start_mpa=field).youngs, field)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_useless_starts_are_refused(
     recording: Recording, start: float | np.ndarray, message: str
 ) -> None:
     with pytest.raises(ConfigError, match=message):
-        invert(recording, start_mpa=start)
+        invert_map(recording, start_mpa=start)
 
 
 @pytest.mark.parametrize(
@@ -97,25 +97,27 @@ def test_useless_starts_are_refused(
 )
 def test_unknown_names_are_refused(recording: Recording, settings: dict[str, str]) -> None:
     with pytest.raises(ConfigError, match=next(iter(settings.values()))):
-        invert(recording, Settings(**settings))
+        invert_map(recording, Settings(**settings))
 
 
 def test_names_do_for_optimizers(recording: Recording) -> None:
-    by_name = invert(recording, Settings(optimizer="gauss_newton"))
-    assert by_name.youngs.tobytes() == invert(recording).youngs.tobytes()
+    by_name = invert_map(recording, Settings(optimizer="gauss_newton"))
+    assert by_name.youngs.tobytes() == invert_map(recording).youngs.tobytes()
     assert by_name.config["optimizer"]["name"] == "gauss_newton"
 
 
 def test_quadratic_elements_invert(make_tiny: Callable[..., Recording]) -> None:
     recording = make_tiny(faces=("z+",), support="fixed", element="tet10")
-    found = invert(recording, Settings(optimizer=GaussNewton(max_iterations=6), element="tet10"))
+    found = invert_map(
+        recording, Settings(optimizer=GaussNewton(max_iterations=6), element="tet10")
+    )
     assert found.misfit_mm2 < 1e-3 * found.history[0]["misfit"]
     assert found.displacements.shape == (1, recording.mesh.n_points, 3)
 
 
 def test_config_says_what_was_done(recording: Recording) -> None:
     settings = replace(SHORT, bounds=Bounds(0.01, 10.0), noise=NoiseModel(relative=1e-3))
-    config = json.loads(json.dumps(invert(recording, settings).config))
+    config = json.loads(json.dumps(invert_map(recording, settings).config))
     assert config["optimizer"] == {
         "name": "gauss_newton", "max_iterations": 3, "tolerance": 1e-3,
         "damping": 1e-6, "max_trials": 12, "space": "auto", "weight_rule": "discrepancy",
@@ -138,7 +140,7 @@ def test_an_optimizer_of_ones_own(recording: Recording) -> None:
             monitor.accept(objective.at(start + 0.5))
             return StopReason.CONVERGED
 
-    found = invert(recording, Settings(optimizer=Guess()))
+    found = invert_map(recording, Settings(optimizer=Guess()))
     assert (found.stop_reason, found.config["optimizer"]) == (
         StopReason.CONVERGED,
         {"name": OPTIMIZERS.name_of(Guess)},
@@ -151,15 +153,15 @@ def test_assumed_noise_is_warned_of(
 ) -> None:
     stay = Settings(max_seconds=1e-9)
     with caplog.at_level(logging.WARNING, logger="tactorch"):
-        invert(make_tiny(snr_db=40.0), stay)
+        invert_map(make_tiny(snr_db=40.0), stay)
         assert not caplog.records
-        invert(make_tiny(), stay)
+        invert_map(make_tiny(), stay)
     assert "does not state its noise; 0.0001 of the signal is assumed" in caplog.text
 
 
 def test_iterations_are_logged(recording: Recording, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.INFO, logger="tactorch"):
-        invert(recording, SHORT)
+        invert_map(recording, SHORT)
     lines = [r.getMessage() for r in caplog.records if "misfit" in r.getMessage()]
     assert [line.split()[1] for line in lines] == ["0", "1", "2", "3"]
 
@@ -179,7 +181,7 @@ def test_progress_shows_iteration_and_misfit(
             shown.append("closed")
 
     monkeypatch.setattr("tactorch.progress._new_line", lambda forced: Line())
-    result = invert(recording, Settings(GaussNewton(max_iterations=1)))
+    result = invert_map(recording, Settings(GaussNewton(max_iterations=1)))
     label = "inversion by gauss_newton"
     assert shown[:2] == [label, f"{label}: model of the presses"]
     assert f"{label}: first equilibrium" in shown
@@ -191,7 +193,7 @@ def test_no_progress_where_it_is_not_wanted(
     recording: Recording, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tactorch.progress._is_terminal", lambda: True)
-    invert(recording, Settings(GaussNewton(max_iterations=1)), show_progress=False)
+    invert_map(recording, Settings(GaussNewton(max_iterations=1)), show_progress=False)
     assert capfd.readouterr().err == ""
 
 

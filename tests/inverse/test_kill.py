@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactorch.inverse import Reconstruction, Settings, invert
+from tactorch.inverse import Reconstruction, Settings, invert_map
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
@@ -19,12 +19,12 @@ from tactorch.simulation import PressPlan, simulate
 MOMENTS = 20
 PROGRAM = """
 import sys
-from tactorch.inverse import invert
+from tactorch.inverse import invert_map
 from tactorch.recording import Recording
 
 recording = Recording.load(sys.argv[1])
 print("ready", flush=True)
-invert(recording, checkpoint=sys.argv[2], show_progress=False)
+invert_map(recording, checkpoint=sys.argv[2], show_progress=False)
 """
 
 
@@ -37,7 +37,7 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="module")
 def undisturbed(recording: Recording) -> Reconstruction:
-    return invert(recording, show_progress=False)
+    return invert_map(recording, show_progress=False)
 
 
 def _killed(recording: Path, checkpoint: Path, seconds: float) -> None:
@@ -68,7 +68,7 @@ def test_a_run_killed_at_random_moments_ends_with_the_same_map(
         _killed(source, checkpoint, rng.uniform(0.0, 1.0) * undisturbed.seconds)
         # Killed before the first iterate: there is nothing to resume, and nothing half-written.
         resume = checkpoint if checkpoint.exists() else None
-        found = invert(recording, resume=resume, show_progress=False)
+        found = invert_map(recording, resume=resume, show_progress=False)
         assert _distance(found, undisturbed) < 1e-6
         resumed += resume is not None
         assert not list(tmp_path.glob("*.part"))
@@ -88,9 +88,9 @@ def test_a_run_stopped_after_an_iteration_ends_with_the_same_map(
             raise KeyboardInterrupt
 
     checkpoint = tmp_path / "checkpoint.npz"
-    whole = invert(cube, Settings(), show_progress=False)
-    first = invert(cube, checkpoint=checkpoint, on_iteration=stop, show_progress=False)
-    found = invert(cube, resume=checkpoint, show_progress=False)
+    whole = invert_map(cube, Settings(), show_progress=False)
+    first = invert_map(cube, checkpoint=checkpoint, on_iteration=stop, show_progress=False)
+    found = invert_map(cube, resume=checkpoint, show_progress=False)
     assert first.iterations == min(after, whole.iterations)
     assert found.iterations == whole.iterations
     assert _distance(found, whole) < 1e-9

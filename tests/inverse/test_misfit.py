@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import MISFITS, InverseProblem, Settings, invert, make_objective
+from tactorch.inverse import MISFITS, InverseProblem, Settings, invert_map, make_objective
 from tactorch.inverse.misfit import Adaptive, Huber
 from tactorch.recording import Recording
 
@@ -69,7 +69,7 @@ def test_chi2_of_normal_noise_is_one() -> None:
 def error_of(recording: Recording, misfit: str) -> float:
     truth = recording.truth
     assert truth is not None
-    found = invert(replace(recording, truth=None), Settings(misfit=misfit), show_progress=False)
+    found = invert_map(replace(recording, truth=None), Settings(misfit=misfit), show_progress=False)
     return float(np.sqrt(np.mean(np.log(found.youngs / truth) ** 2)))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import InverseProblem, Settings, best_uniform, invert, make_objective
+from tactorch.inverse import InverseProblem, Settings, best_uniform, invert_map, make_objective
 from tactorch.inverse.data import ModelError
 from tactorch.inverse.model_error import discretisation_error, resolve_model_error
 from tactorch.metrics import pearson
@@ -88,7 +88,7 @@ def test_an_inversion_without_inverse_crime_gains(finer: Recording):
     blind = replace(finer, truth=None)
     r = {
         name: pearson(
-            invert(blind, Settings(model_error=name), show_progress=False).youngs, finer.truth
+            invert_map(blind, Settings(model_error=name), show_progress=False).youngs, finer.truth
         )
         for name in ("none", "auto")
     }

@@ -16,7 +16,7 @@ from tactorch.inverse import (
     Reconstruction,
     Settings,
     StopReason,
-    invert,
+    invert_map,
     make_objective,
 )
 from tactorch.inverse.monitor import StopOptimization, describe
@@ -37,7 +37,7 @@ def noisy(make_tiny: Callable[..., Recording]) -> Recording:
 @pytest.fixture
 def half_way(noisy: Recording, tmp_path: Path) -> Path:
     path = tmp_path / "half.npz"
-    invert(noisy, Settings(optimizer=GaussNewton(max_iterations=3)), checkpoint=path)
+    invert_map(noisy, Settings(optimizer=GaussNewton(max_iterations=3)), checkpoint=path)
     return path
 
 
@@ -50,11 +50,11 @@ def test_a_resumed_gauss_newton_ends_where_an_undisturbed_one_does(
     noisy: Recording, tmp_path: Path, stop: int
 ) -> None:
     """Also where the weight has stopped falling: 1 is early, 7 is past it."""
-    whole = invert(noisy)
+    whole = invert_map(noisy)
     assert whole.iterations > 7
     path = tmp_path / "state"  # no suffix: the name is the user's
-    first = invert(noisy, Settings(optimizer=GaussNewton(max_iterations=stop)), checkpoint=path)
-    second = invert(noisy, checkpoint=path, resume=path)
+    first = invert_map(noisy, Settings(optimizer=GaussNewton(max_iterations=stop)), checkpoint=path)
+    second = invert_map(noisy, checkpoint=path, resume=path)
     assert first.stop_reason == "iteration limit reached"
     assert second.stop_reason == whole.stop_reason
     np.testing.assert_allclose(second.youngs, whole.youngs, rtol=1e-6)
@@ -76,17 +76,17 @@ def test_an_interrupted_run_goes_on(
 ) -> None:
     path = tmp_path / "state.npz"
     fail_evaluation(8, KeyboardInterrupt())
-    first = invert(noisy, Settings(optimizer=OPTIMIZERS.build(name)), checkpoint=path)
+    first = invert_map(noisy, Settings(optimizer=OPTIMIZERS.build(name)), checkpoint=path)
     assert first.stop_reason == "interrupted"
     limit = {"max_evaluations": 40} if name == "tnc" else {"max_iterations": 10}
-    second = invert(
+    second = invert_map(
         noisy, Settings(optimizer=OPTIMIZERS.build({"name": name, **limit})), resume=path
     )
     assert second.history[: len(first.history)] == first.history
     if second.history[-1]["weight"] == first.history[-1]["weight"]:
         assert second.history[-1]["objective"] < first.history[-1]["objective"]
     else:  # objectives of different weights cannot be compared: it is the unbroken run's way
-        whole = invert(noisy, Settings(optimizer=OPTIMIZERS.build({"name": name, **limit})))
+        whole = invert_map(noisy, Settings(optimizer=OPTIMIZERS.build({"name": name, **limit})))
         np.testing.assert_allclose(second.youngs, whole.youngs, rtol=1e-6)
     assert [e["iteration"] for e in second.history] == list(range(len(second.history)))
     spent = second.history[-1]["evaluations"]
@@ -103,7 +103,7 @@ def test_whatever_ends_it_keeps_the_best_so_far(
     noisy: Recording, fail_evaluation: Fail, name: str, error: BaseException, reason: str
 ) -> None:
     fail_evaluation(9, error)
-    found = invert(noisy, Settings(optimizer=OPTIMIZERS.build(name)))
+    found = invert_map(noisy, Settings(optimizer=OPTIMIZERS.build(name)))
     assert found.stop_reason == reason
     last = found.history[-1]
     assert last["objective"] == min(
@@ -119,15 +119,15 @@ def test_an_interruption_before_the_start_is_not_swallowed(
 ) -> None:
     fail_evaluation(1, KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
-        invert(noisy)
+        invert_map(noisy)
 
 
 def test_an_interruption_right_after_resuming_keeps_the_map(
     noisy: Recording, half_way: Path, fail_evaluation: Fail
 ) -> None:
-    expected = invert(noisy, Settings(optimizer=GaussNewton(max_iterations=3)))
+    expected = invert_map(noisy, Settings(optimizer=GaussNewton(max_iterations=3)))
     fail_evaluation(2, KeyboardInterrupt())  # the first one is the point resumed from
-    found = invert(noisy, resume=half_way)
+    found = invert_map(noisy, resume=half_way)
     assert found.stop_reason == "interrupted"
     np.testing.assert_allclose(found.youngs, expected.youngs, rtol=1e-9)
     assert found.iterations == 3
@@ -147,7 +147,7 @@ def test_an_unstable_equilibrium_ends_the_run_with_its_reason(
         return jacobian(self)
 
     monkeypatch.setattr(Evaluation, "jacobian", fail)
-    found = invert(noisy)
+    found = invert_map(noisy)
     assert found.stop_reason == StopReason.NO_DERIVATIVES
     assert found.iterations == 3
     assert misfits(found)[-1] < 0.5 * misfits(found)[0]
@@ -155,7 +155,7 @@ def test_an_unstable_equilibrium_ends_the_run_with_its_reason(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_time_gives_the_start_back(noisy: Recording, name: str) -> None:
-    found = invert(
+    found = invert_map(
         noisy, Settings(optimizer=OPTIMIZERS.build(name), max_seconds=1e-9), start_mpa=0.3
     )
     assert (found.stop_reason, found.iterations) == ("time limit reached", 0)
@@ -212,7 +212,7 @@ def test_a_failed_write_leaves_the_former_checkpoint(
 
     monkeypatch.setattr(np, "savez", fail)
     with pytest.raises(KeyboardInterrupt):
-        invert(noisy, Settings(optimizer=GaussNewton(max_iterations=1)), checkpoint=half_way)
+        invert_map(noisy, Settings(optimizer=GaussNewton(max_iterations=1)), checkpoint=half_way)
     assert half_way.read_bytes() == before
     assert [path.name for path in half_way.parent.iterdir()] == ["half.npz"]
 
@@ -232,7 +232,7 @@ def test_checkpoints_are_written_on_the_way(
 
     monkeypatch.setattr(Monitor, "save", watch)
     path = tmp_path / "state.npz"
-    found = invert(noisy, Settings(optimizer=GaussNewton(max_iterations=3)), checkpoint=path)
+    found = invert_map(noisy, Settings(optimizer=GaussNewton(max_iterations=3)), checkpoint=path)
     assert saved == [1, 2, 3, 4, 4]  # each record, and the end
     monitor = Monitor()
     monitor.restore(path, noisy.mesh.n_tets)
@@ -247,7 +247,7 @@ def test_a_truncated_checkpoint_is_refused(noisy: Recording, half_way: Path, kee
     data = half_way.read_bytes()
     half_way.write_bytes(data[: int(keep * len(data)) if 0 < keep < 1 else int(keep)])
     with pytest.raises(FileError, match=r"half\.npz' cannot be read.*start again"):
-        invert(noisy, resume=half_way)
+        invert_map(noisy, resume=half_way)
 
 
 def test_other_files_are_refused(noisy: Recording, tmp_path: Path) -> None:
@@ -255,34 +255,34 @@ def test_other_files_are_refused(noisy: Recording, tmp_path: Path) -> None:
     with path.open("wb") as file:
         np.save(file, np.zeros(noisy.mesh.n_tets))
     with pytest.raises(FileError, match=r"other\.npz' cannot be read"):
-        invert(noisy, resume=path)
+        invert_map(noisy, resume=path)
     np.savez(path, x=np.zeros(noisy.mesh.n_tets))
     with pytest.raises(FileError, match=r"other\.npz' cannot be read"):
-        invert(noisy, resume=path)
+        invert_map(noisy, resume=path)
     path.write_text("not an archive")
     with pytest.raises(FileError, match=r"other\.npz' cannot be read"):
-        invert(noisy, resume=path)
+        invert_map(noisy, resume=path)
     with pytest.raises(FileError, match=r"checkpoint not found: .*absent\.npz"):
-        invert(noisy, resume=tmp_path / "absent.npz")
+        invert_map(noisy, resume=tmp_path / "absent.npz")
 
 
 def test_a_checkpoint_of_another_mesh_is_refused(noisy: Recording, half_way: Path) -> None:
     ball = make_phantom("cube_sphere")
     finer = simulate(ball, PressPlan(pressures_mpa=(0.01,)), mesh=box_mesh(10.0, 3))
     with pytest.raises(FileError, match=r"40 moduli but the recording has 162.*another mesh"):
-        invert(finer, resume=half_way)
+        invert_map(finer, resume=half_way)
     larger = simulate(
         make_phantom("cube_sphere", side_mm=12.0),
         PressPlan(pressures_mpa=(0.01,)),
         mesh=box_mesh(12.0, 2, tets_per_cell=5),
     )
     with pytest.raises(FileError, match="another mesh"):
-        invert(larger, resume=half_way)
+        invert_map(larger, resume=half_way)
 
 
 def test_a_checkpoint_of_other_parameters_is_refused(noisy: Recording, half_way: Path) -> None:
     with pytest.raises(FileError, match=r"another parameterization: Log\(.*, not Identity"):
-        invert(noisy, Settings(parameterization="identity"), resume=half_way)
+        invert_map(noisy, Settings(parameterization="identity"), resume=half_way)
 
 
 def test_description_names_units() -> None:
@@ -302,10 +302,10 @@ def test_a_run_that_had_ended_has_nothing_more_to_do(noisy: Recording, tmp_path:
     """Killed between the end of the search and the end of the run."""
     path = tmp_path / "ended.npz"
     settings = Settings(optimizer=GaussNewton(tolerance=1e-2))
-    whole = invert(noisy, settings, checkpoint=path)
-    again = invert(noisy, settings, checkpoint=path, resume=path)
+    whole = invert_map(noisy, settings, checkpoint=path)
+    again = invert_map(noisy, settings, checkpoint=path, resume=path)
     assert again.history == whole.history
     assert again.stop_reason == whole.stop_reason
     np.testing.assert_allclose(again.youngs, whole.youngs, rtol=1e-12)
-    finer = invert(noisy, Settings(optimizer=GaussNewton(tolerance=1e-6)), resume=path)
+    finer = invert_map(noisy, Settings(optimizer=GaussNewton(tolerance=1e-6)), resume=path)
     assert finer.iterations > whole.iterations

@@ -17,7 +17,7 @@ from tactorch.inverse import (
     Objective,
     Settings,
     TotalVariation,
-    invert,
+    invert_map,
     make_objective,
 )
 from tactorch.inverse.optimizers.damped import PriorSolver
@@ -47,7 +47,7 @@ def correlation(first: np.ndarray, second: np.ndarray) -> float:
 )
 def test_the_map_is_that_of_gauss_newton(noisy: Recording, prior: str) -> None:
     maps = [
-        invert(
+        invert_map(
             noisy, Settings(optimizer=name, regularization={"name": prior, "weight": 3.0})
         ).youngs
         for name in ("gauss_newton", "newton_cg")
@@ -58,7 +58,7 @@ def test_the_map_is_that_of_gauss_newton(noisy: Recording, prior: str) -> None:
 
 @pytest.mark.slow
 def test_with_a_cooled_weight_too(noisy: Recording) -> None:
-    ours, theirs = (invert(noisy, Settings(optimizer=o)) for o in (NewtonCG(), GaussNewton()))
+    ours, theirs = (invert_map(noisy, Settings(optimizer=o)) for o in (NewtonCG(), GaussNewton()))
     assert correlation(ours.youngs, theirs.youngs) > 0.99
     assert ours.stop_reason == theirs.stop_reason == "the data are fitted to their noise"
 
@@ -68,7 +68,7 @@ def test_no_sensitivity_matrix_is_formed(noisy: Recording, monkeypatch: pytest.M
         raise AssertionError("the sensitivity matrix was asked for")
 
     monkeypatch.setattr("tactorch.fem.linearization.Sensitivity.matrix", refuse)
-    found = invert(noisy, Settings(optimizer=NewtonCG(max_iterations=3)))
+    found = invert_map(noisy, Settings(optimizer=NewtonCG(max_iterations=3)))
     assert found.misfit_mm2 < 0.1 * found.history[0]["misfit"]
 
 
@@ -109,9 +109,9 @@ def test_a_resumed_run_ends_with_the_same_map(
 
     settings = Settings(optimizer=NewtonCG(hessian=hessian, max_iterations=after + 3))
     checkpoint = tmp_path / "checkpoint.npz"
-    whole = invert(noisy, settings)
-    first = invert(noisy, settings, checkpoint=checkpoint, on_iteration=stop)
-    found = invert(noisy, settings, resume=checkpoint)
+    whole = invert_map(noisy, settings)
+    first = invert_map(noisy, settings, checkpoint=checkpoint, on_iteration=stop)
+    found = invert_map(noisy, settings, resume=checkpoint)
     assert first.iterations == after < whole.iterations == found.iterations
     np.testing.assert_allclose(found.youngs, whole.youngs, rtol=1e-6)
 
@@ -148,7 +148,9 @@ def test_the_true_hessian_ends_at_the_same_minimum(make_tiny: Make) -> None:
     noisy = make_tiny(faces=("z+",), snr_db=30.0)
     prior = TotalVariation(weight=3.0)
     maps = [
-        invert(noisy, Settings(NewtonCG(hessian=h, tolerance=1e-6), regularization=prior)).youngs
+        invert_map(
+            noisy, Settings(NewtonCG(hessian=h, tolerance=1e-6), regularization=prior)
+        ).youngs
         for h in ("gauss_newton", "true")
     ]
     np.testing.assert_allclose(maps[0], maps[1], rtol=5e-3)
@@ -157,7 +159,7 @@ def test_the_true_hessian_ends_at_the_same_minimum(make_tiny: Make) -> None:
 def test_the_true_hessian_refuses_nuisance_parameters(recording: Recording) -> None:
     settings = Settings(optimizer=NewtonCG(hessian="true"), nuisance=NuisancePrior(poisson=0.02))
     with pytest.raises(ConfigError, match="hessian=true"):
-        invert(recording, settings)
+        invert_map(recording, settings)
 
 
 @pytest.mark.slow
@@ -165,7 +167,7 @@ def test_nuisance_parameters_are_estimated(make_cube: Make) -> None:
     wrong = make_cube(snr_db=40.0, seed=1)
     prior, free = TotalVariation(weight=3.0), NuisancePrior(force_scale=0.2)
     ours, theirs = (
-        invert(wrong, Settings(optimizer=name, regularization=prior, nuisance=free)).nuisance
+        invert_map(wrong, Settings(optimizer=name, regularization=prior, nuisance=free)).nuisance
         for name in ("newton_cg", "gauss_newton")
     )
     assert ours["force_scale"].value == pytest.approx(theirs["force_scale"].value, rel=1e-2)

@@ -17,7 +17,7 @@ from tactorch.inverse import (
     NuisancePrior,
     Reconstruction,
     Settings,
-    invert,
+    invert_map,
     make_objective,
 )
 from tactorch.inverse.starts import uniform_fit
@@ -114,7 +114,7 @@ def test_what_was_wrong_is_found(
 ) -> None:
     deviation = {"poisson": 0.05, "force_scale": 0.3, "rest_scale": 0.15}[name]
     settings = Settings(nuisance=NuisancePrior(**{name: deviation}), noise=EXACT)
-    found = invert(perturb_recording(cube, **wrong), settings)
+    found = invert_map(perturb_recording(cube, **wrong), settings)
     estimate = found.nuisance[name]
     off = np.abs(estimate.value / np.array(expected) - 1.0)
     before = (
@@ -139,7 +139,7 @@ def test_an_offset_and_a_turn_of_the_sensor_are_found(cube: Recording) -> None:
     )
     seen = replace(cube, presses=presses, check_units=False)
     settings = Settings(nuisance=NuisancePrior(translation_mm=0.3, rotation_rad=0.05), noise=EXACT)
-    found = invert(seen, settings).nuisance
+    found = invert_map(seen, settings).nuisance
     np.testing.assert_allclose(found["translation_mm"].value, moved.translation_mm, atol=0.02)
     np.testing.assert_allclose(found["rotation_rad"].value, moved.rotation_rad, atol=0.003)
 
@@ -147,7 +147,7 @@ def test_an_offset_and_a_turn_of_the_sensor_are_found(cube: Recording) -> None:
 def test_without_a_known_stiffness_the_force_scale_stays_open(make_tiny: Make) -> None:
     free = make_tiny(support="fixed")
     settings = Settings(nuisance=NuisancePrior(force_scale=0.2), noise=EXACT)
-    estimate = invert(free, settings).nuisance["force_scale"]
+    estimate = invert_map(free, settings).nuisance["force_scale"]
     assert estimate.deviation[0] == pytest.approx(0.2, rel=0.05)
 
 
@@ -169,7 +169,7 @@ def test_the_uniform_fit_finds_both(make_tiny: Make) -> None:
 
 def test_estimates_survive_the_file(recording: Recording, tmp_path: Path) -> None:
     settings = Settings(nuisance=NuisancePrior(poisson=0.02, rest_scale=0.1), max_seconds=1e-9)
-    found = invert(recording, settings)
+    found = invert_map(recording, settings)
     again = Reconstruction.load(found.save(tmp_path / "r.h5"))
     assert set(again.nuisance) == {"poisson", "rest_scale"}
     for name, estimate in found.nuisance.items():

@@ -22,7 +22,7 @@ from tactorch.inverse import (
     Reconstruction,
     Settings,
     TotalVariation,
-    invert,
+    invert_map,
     make_objective,
 )
 from tactorch.inverse.optimizers.damped import projected_gradient
@@ -49,7 +49,7 @@ def recording(make_tiny: Make) -> Recording:
 
 def run(recording: Recording, name: str, **settings: Any) -> Reconstruction:
     optimizer = {"name": name, **SHORT[name]}
-    return invert(recording, Settings(optimizer=optimizer, **settings))
+    return invert_map(recording, Settings(optimizer=optimizer, **settings))
 
 
 def series(found: Reconstruction, name: str) -> np.ndarray:
@@ -86,7 +86,7 @@ def test_the_objective_falls_at_a_given_weight(recording: Recording, name: str, 
     settings = Settings(
         optimizer=optimizer, regularization=weighted, noise=NoiseModel(relative=0.01)
     )
-    found = invert(recording, settings)
+    found = invert_map(recording, settings)
     objective = series(found, "objective")
     assert (np.diff(objective) <= 0.0).all()
     assert objective[-1] < 0.1 * objective[0]
@@ -99,7 +99,7 @@ def test_the_objective_falls_at_a_given_weight(recording: Recording, name: str, 
 @pytest.mark.parametrize("name", NAMES)
 def test_more_weight_makes_a_flatter_map(recording: Recording, name: str) -> None:
     rough, flat = (
-        invert(
+        invert_map(
             recording,
             Settings(
                 optimizer=OPTIMIZERS.build({"name": name, **SHORT[name]}),
@@ -142,7 +142,7 @@ def test_bounds_hold_and_are_used(recording: Recording, name: str, parameterizat
         bounds=bounds,
         regularization=UNWEIGHTED,
     )
-    found = invert(recording, settings, start_mpa=0.25)
+    found = invert_map(recording, settings, start_mpa=0.25)
     assert found.youngs.min() >= bounds.lower
     assert found.youngs.max() <= bounds.upper
     low, high = found.youngs == bounds.lower, found.youngs == bounds.upper
@@ -155,7 +155,7 @@ def test_bounds_hold_and_are_used(recording: Recording, name: str, parameterizat
 def test_the_end_is_a_constrained_minimum(recording: Recording, optimizer: Optimizer) -> None:
     prior = TotalVariation(weight=10.0)
     settings = Settings(optimizer=optimizer, regularization=prior, bounds=Bounds(0.19, 0.34))
-    found = invert(recording, settings, start_mpa=0.25)
+    found = invert_map(recording, settings, start_mpa=0.25)
     objective = make_objective(recording, settings)
     x = np.log(found.youngs)
     point, start = objective.at(x), objective.at(np.full_like(x, np.log(0.25)))
@@ -171,7 +171,7 @@ def test_the_end_is_a_constrained_minimum(recording: Recording, optimizer: Optim
 
 def test_gauss_newton_finds_the_inclusion(cube: Recording) -> None:
     """And goes much further than the paper's optimizer."""
-    found = invert(cube)
+    found = invert_map(cube)
     assert cube.truth is not None
     assert pearson(found.youngs, cube.truth) > 0.97
     theirs = run(cube, "tnc", regularization="none")
@@ -183,7 +183,7 @@ def test_gauss_newton_finds_the_inclusion(cube: Recording) -> None:
 
 def test_either_space_gives_the_same_map(cube: Recording) -> None:
     maps = [
-        invert(cube, Settings(optimizer=GaussNewton(max_iterations=3, space=space))).youngs
+        invert_map(cube, Settings(optimizer=GaussNewton(max_iterations=3, space=space))).youngs
         for space in ("data", "parameter")
     ]
     np.testing.assert_allclose(maps[0], maps[1], rtol=1e-6)
@@ -193,7 +193,7 @@ def test_either_space_gives_the_same_map(cube: Recording) -> None:
 def test_noise_is_not_fitted(make_cube: Make, seed: int) -> None:
     """The discrepancy principle ends near a mean squared residual of one, from either side."""
     noisy = make_cube(snr_db=30.0, seed=seed)
-    found = invert(noisy)
+    found = invert_map(noisy)
     assert found.stop_reason == "the data are fitted to their noise"
     assert 0.9 <= found.history[-1]["chi2"] <= 1.02
     assert noisy.truth is not None
@@ -205,7 +205,7 @@ def test_understated_noise_is_said_so(make_tiny: Make) -> None:
     noisy = make_tiny(faces=("z+", "x+", "y-"), snr_db=20.0)
     presses = tuple(replace(press, noise_mm=None) for press in noisy.presses)
     optimizer = GaussNewton(max_iterations=100)
-    found = invert(replace(noisy, presses=presses), Settings(optimizer=optimizer))
+    found = invert_map(replace(noisy, presses=presses), Settings(optimizer=optimizer))
     assert found.history[-1]["chi2"] > 10.0
     assert "fitted to their noise" not in found.stop_reason or "larger" in found.stop_reason
 
@@ -213,7 +213,7 @@ def test_understated_noise_is_said_so(make_tiny: Make) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_limits_of_iterations_hold(recording: Recording, name: str) -> None:
     limit = {"tnc": "max_evaluations"}.get(name, "max_iterations")
-    found = invert(recording, Settings(optimizer=OPTIMIZERS.build({"name": name, limit: 4})))
+    found = invert_map(recording, Settings(optimizer=OPTIMIZERS.build({"name": name, limit: 4})))
     assert "limit reached" in found.stop_reason
     spent = found.history[-1]["evaluations"] if name == "tnc" else found.iterations
     assert spent <= 5
@@ -225,7 +225,7 @@ def test_starting_at_the_solution_stops(recording: Recording, name: str) -> None
     optimizer = OPTIMIZERS.build({"name": name, **SHORT[name]})
     assert recording.truth is not None
     settings = Settings(optimizer=optimizer, regularization=UNWEIGHTED)
-    found = invert(recording, settings, start_mpa=recording.truth)
+    found = invert_map(recording, settings, start_mpa=recording.truth)
     np.testing.assert_allclose(found.youngs, recording.truth, rtol=1e-3)
     assert found.stop_reason
 
@@ -283,7 +283,7 @@ def test_the_lowest_point_seen_is_the_result(
     limit = {"max_evaluations": 9} if name == "tnc" else {"max_iterations": 9}
     limit = {k: 100 if end == "interruption" else v for k, v in limit.items()}
     settings = Settings(optimizer={"name": name, **limit}, regularization=UNWEIGHTED)
-    found = invert(recording, settings)
+    found = invert_map(recording, settings)
     complete = seen[:-1] if end == "interruption" else seen
     assert found.misfit_mm2 == min(complete)
     assert found.stop_reason == ("interrupted" if end == "interruption" else found.stop_reason)
@@ -291,7 +291,7 @@ def test_the_lowest_point_seen_is_the_result(
 
 def test_lbfgs_lowers_the_weight_in_stages(recording: Recording) -> None:
     optimizer = LBFGS(max_iterations=12, stage_iterations=3)
-    found = invert(recording, Settings(optimizer=optimizer))
+    found = invert_map(recording, Settings(optimizer=optimizer))
     weight = series(found, "weight")
     assert (np.diff(weight) <= 0).all()
     assert len(np.unique(weight)) == 4

@@ -9,7 +9,7 @@ from tactorch.errors import ConfigError
 from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.fem.contact import Ball
 from tactorch.fem.indentation import BallPlace, Indentation
-from tactorch.inverse import NuisancePrior, Settings, find_shapes, invert
+from tactorch.inverse import NuisancePrior, Settings, find_shapes, invert_map
 from tactorch.inverse.data import CorrelatedNoise
 from tactorch.inverse.palpation import (
     PalpationProblem,
@@ -144,7 +144,7 @@ def test_the_uniform_modulus_is_found_without_iteration() -> None:
 
 
 def test_the_map_shows_the_lump(with_lump: Recording) -> None:
-    result = invert(with_lump, Settings(), start_mpa=homogeneous, show_progress=False)
+    result = invert_map(with_lump, Settings(), start_mpa=homogeneous, show_progress=False)
     assert result.displacements.shape == (0, with_lump.mesh.n_points, 3)
     ratio = np.log(result.youngs / np.median(result.youngs)).clip(0.0)
     center = ratio @ with_lump.mesh.centroids / ratio.sum()
@@ -170,7 +170,7 @@ def test_shapes_find_the_lump_and_none_where_there_is_none(with_lump: Recording)
 
 def test_nuisance_parameters_are_refused(with_lump: Recording) -> None:
     with pytest.raises(ConfigError, match="poisson: nuisance parameters are not estimated"):
-        invert(with_lump, Settings(nuisance=NuisancePrior(poisson=0.02)))
+        invert_map(with_lump, Settings(nuisance=NuisancePrior(poisson=0.02)))
 
 
 def test_a_ball_clear_of_the_object_or_pulled_is_refused(with_lump: Recording) -> None:

@@ -15,7 +15,7 @@ from tactorch.inverse import (
     ShiftedPrior,
     Smoothness,
     TotalVariation,
-    invert,
+    invert_map,
 )
 from tactorch.mesh import box_mesh
 from tactorch.recording import Recording
@@ -71,7 +71,7 @@ def test_a_prior_that_rules_keeps_the_mean(make_cube: Callable[..., Recording]) 
     mean = np.random.default_rng(0).uniform(0.2, 0.4, recording.mesh.n_tets)
     prior = ShiftedPrior(prior=TotalVariation(weight=1e12), mean_mpa=mean)
     settings = Settings(regularization=prior)
-    found = invert(recording, settings, start_mpa=mean, show_progress=False)
+    found = invert_map(recording, settings, start_mpa=mean, show_progress=False)
     ratio = found.youngs / mean
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-4)
     assert not np.allclose(ratio[0], 1.0, rtol=0.05)

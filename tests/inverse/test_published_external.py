@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactorch.importers import import_published
-from tactorch.inverse import InverseProblem, invert
+from tactorch.inverse import InverseProblem, invert_map
 from tactorch.metrics import pearson, rmse_mpa
 from tactorch.recording import Recording
 
@@ -40,7 +40,7 @@ def test_gauss_newton_beats_the_published_reconstruction(
     recording = load(shared_data, case)
     assert recording.truth is not None
     assert recording.reference is not None
-    found = invert(recording)
+    found = invert_map(recording)
     assert found.stop_reason == "the data are fitted to their noise"
     assert pearson(found.youngs, recording.truth) >= correlation
     assert pearson(recording.reference, recording.truth) < correlation - 0.05

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from tactorch.errors import FileError
-from tactorch.inverse import GaussNewton, Reconstruction, Settings, invert
+from tactorch.inverse import GaussNewton, Reconstruction, Settings, invert_map
 from tactorch.recording import Recording
 
 
 @pytest.fixture(scope="module")
 def found(recording: Recording) -> Reconstruction:
-    return invert(recording, Settings(optimizer=GaussNewton(max_iterations=2)))
+    return invert_map(recording, Settings(optimizer=GaussNewton(max_iterations=2)))
 
 
 @pytest.fixture

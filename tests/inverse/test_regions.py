@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tactorch import PressPlan, Settings, invert, simulate
+from tactorch import PressPlan, Settings, simulate
 from tactorch.errors import ConfigError
 from tactorch.inverse import (
     INITIALIZATIONS,
@@ -13,6 +13,7 @@ from tactorch.inverse import (
     ShiftedPrior,
     Sparsity,
     Tikhonov,
+    invert_map,
 )
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.phantoms import make_phantom
@@ -104,7 +105,7 @@ def test_a_recording_of_two_regions_is_no_inverse_crime(recording: Recording) ->
 
 def error_of(recording: Recording, prior: dict[str, object]) -> float:
     """Error of the log-moduli, root mean square by volume."""
-    result = invert(recording, Settings(regularization=PRIORS.build(prior)))
+    result = invert_map(recording, Settings(regularization=PRIORS.build(prior)))
     squares = np.log(result.youngs / recording.truth) ** 2
     return float(np.sqrt(np.average(squares, weights=recording.mesh.volumes)))
 

@@ -13,7 +13,7 @@ from tactorch.inverse import (
     Settings,
     best_uniform,
     homogeneous,
-    invert,
+    invert_map,
     make_objective,
     monte_carlo,
 )
@@ -91,7 +91,7 @@ def test_monte_carlo_passes_over_draws_that_collapse(uniform: Recording):
 
 def test_a_start_may_be_a_function_of_the_problem(uniform: Recording):
     settings = Settings(optimizer=GaussNewton(max_iterations=1))
-    found = invert(uniform, settings, start_mpa=homogeneous, show_progress=False)
+    found = invert_map(uniform, settings, start_mpa=homogeneous, show_progress=False)
     assert found.config["start_mpa"] == "homogeneous"
     assert found.history[0]["chi2"] < 1.0
 
@@ -113,7 +113,7 @@ def test_starts_that_cannot_be_used_are_refused(
 
 def test_every_iteration_is_shown_with_its_map(recording: Recording):
     seen: list[tuple[dict, np.ndarray]] = []
-    found = invert(
+    found = invert_map(
         recording,
         Settings(optimizer=GaussNewton(max_iterations=3)),
         show_progress=False,

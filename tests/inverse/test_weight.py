@@ -13,7 +13,7 @@ from tactorch.inverse import (
     Point,
     Settings,
     StopReason,
-    invert,
+    invert_map,
     make_objective,
 )
 from tactorch.inverse.optimizers import schedule as rules
@@ -89,10 +89,10 @@ def test_a_leap_that_leads_nowhere_is_none(
     settings = Settings(GaussNewton(max_iterations=8), noise=NoiseModel(relative=1e-4))
     with monkeypatch.context() as patched:
         patched.setattr(DampedNewton, "_step", lost)
-        found = invert(recording, settings)
+        found = invert_map(recording, settings)
     assert leaps.count(1) > 1
     monkeypatch.setattr(rules, "_LEAP", rules._FAST)
-    expected = invert(recording, settings)
+    expected = invert_map(recording, settings)
     np.testing.assert_allclose(found.youngs, expected.youngs, rtol=1e-9)
     assert [e["weight"] for e in found.history] == pytest.approx(
         [e["weight"] for e in expected.history]

@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import GaussNewton, Reconstruction, Settings, invert
+from tactorch.inverse import GaussNewton, Reconstruction, Settings, invert_map
 from tactorch.inverse.optimizers.spectrum import (
     RULES,
     Spectrum,
@@ -123,7 +123,7 @@ def noisy(make_cube: Callable[..., Recording]) -> Recording:
 
 def run(recording: Recording, rule: str = "discrepancy", **others: object) -> Reconstruction:
     optimizer = GaussNewton(weight_rule=rule, max_iterations=60)
-    return invert(recording, Settings(optimizer=optimizer), show_progress=False, **others)  # type: ignore[arg-type]
+    return invert_map(recording, Settings(optimizer=optimizer), show_progress=False, **others)  # type: ignore[arg-type]
 
 
 def test_an_overfit_is_taken_back(noisy: Recording) -> None:
@@ -156,7 +156,7 @@ def test_a_rule_resumes(noisy: Recording, rule: str, tmp_path: Path) -> None:
     stop = whole.iterations - 3
     path = tmp_path / "state.npz"
     first = GaussNewton(weight_rule=rule, max_iterations=stop)
-    invert(noisy, Settings(optimizer=first), checkpoint=path, show_progress=False)
+    invert_map(noisy, Settings(optimizer=first), checkpoint=path, show_progress=False)
     again = run(noisy, rule, resume=path)
     assert again.iterations == whole.iterations
     np.testing.assert_allclose(again.youngs, whole.youngs, rtol=1e-6)

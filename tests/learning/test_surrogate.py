@@ -18,7 +18,7 @@ from tactorch.inverse import (
     ShiftedPrior,
     Tikhonov,
     homogeneous,
-    invert,
+    invert_map,
 )
 from tactorch.inverse.starts import fits_better_than_uniform, uniform_fit
 from tactorch.learning.data import AugmentedSamples
@@ -193,7 +193,7 @@ def test_an_inversion_starts_from_it(run: Path, recording: Recording) -> None:
     start = SurrogateStart(run / BEST)
     settings = Settings(max_seconds=None)
     seen: list[np.ndarray] = []
-    found = invert(
+    found = invert_map(
         recording, settings, start_mpa=start, on_iteration=lambda record, map_: seen.append(map_)
     )
     assert found.config["start_mpa"] == "surrogate"

@@ -171,7 +171,7 @@ def test_command_of_the_wheel_simulates_and_inverts_in_an_empty_folder(
     tiny = ("mesh=coarse", "mesh.relative_edge_length=0.35", "mesh.fine_relative=null")
     command = environment / "tactorch"
     run(command, "simulate", *tiny, "press=top", "press.steps=1", "out=case.h5", folder=tmp_path)
-    brief = ("optimizer.max_iterations=1", "run_dir=run", "plots=false", "find=false")
+    brief = ("optimizer.max_iterations=1", "run_dir=run", "plots=false", "method=map")
     out = run(command, "invert", "recording=case.h5", *brief, folder=tmp_path)
     assert "gauss_newton: 1 iterations" in out
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())

@@ -37,12 +37,12 @@ def make_run(recording_path: Path) -> MakeRun:
 
     def make(folder: Path, settings: Any = None) -> Path:
         from tactorch.cli.outputs import write_outputs
-        from tactorch.inverse import GaussNewton, Settings, invert
+        from tactorch.inverse import GaussNewton, Settings, invert_map
         from tactorch.recording import Recording
 
         recording = Recording.load(recording_path)
         chosen = settings or Settings(optimizer=GaussNewton(max_iterations=6))
-        found = invert(recording, chosen, show_progress=False)
+        found = invert_map(recording, chosen, show_progress=False)
         write_outputs(folder, recording, found, source=str(recording_path), plots=False)
         return folder
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, ConvergenceError, FileError, RecordingError
-from tactorch.inverse import IncrementalInversion, Reconstruction, Settings, invert
+from tactorch.inverse import IncrementalInversion, Reconstruction, Settings, invert_map
 from tactorch.metrics import scores
 from tactorch.recording import MaterialSpec, Recording, append_press
 from tactorch.sampling import LoopOptions, SuggestOptions
@@ -47,7 +47,7 @@ def test_the_last_map_is_close_to_that_of_a_whole_inversion(live: Any) -> None:
     assert ended.update.solution.converged
     one, other = (
         scores(live.whole.mesh, youngs, live.whole.truth)
-        for youngs in (ended.update.youngs, invert(live.whole).youngs)
+        for youngs in (ended.update.youngs, invert_map(live.whole).youngs)
     )
     assert one["pearson"] == pytest.approx(other["pearson"], abs=0.05)
     assert "no press came" in ended.reason

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import NuisancePrior, Point, Settings, ShiftedPrior, invert, make_objective
+from tactorch.inverse import (
+    NuisancePrior,
+    Point,
+    Settings,
+    ShiftedPrior,
+    invert_map,
+    make_objective,
+)
 from tactorch.inverse.invert import solution
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
@@ -30,7 +37,7 @@ def noisy() -> Recording:
 
 
 def test_it_is_that_of_the_point_where_the_inversion_ended(noisy: Recording) -> None:
-    found = invert(noisy)
+    found = invert_map(noisy)
     objective = make_objective(noisy, Settings())
     point = objective.at(objective.start(found.youngs))
     expected = variational_posterior(point, found.history[-1]["weight"])
@@ -45,7 +52,7 @@ def test_other_priors_and_larger_meshes_have_their_own(
     noisy: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = Settings(regularization="smoothness")
-    found = invert(noisy, settings)
+    found = invert_map(noisy, settings)
     assert type(compute_posterior(noisy, found, settings)) is LaplacePosterior
     monkeypatch.setattr(select, "MAX_DENSE", 10)
     told: list[tuple[int, float]] = []
@@ -61,7 +68,7 @@ def test_other_priors_and_larger_meshes_have_their_own(
 
 def test_nuisance_parameters_stay_where_they_were_found(noisy: Recording) -> None:
     settings = Settings(nuisance=NuisancePrior(poisson=0.02, rest_scale=0.1))
-    found = invert(noisy, settings)
+    found = invert_map(noisy, settings)
     point = solution(noisy, found, settings)
     assert point.evaluation.nuisance.poisson == pytest.approx(found.nuisance["poisson"].value[0])
     np.testing.assert_allclose(

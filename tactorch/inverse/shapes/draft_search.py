@@ -25,6 +25,7 @@ from tactorch.inverse.shapes.model import (
     record,
     unexplained,
     with_ball,
+    with_predictions,
     without,
 )
 from tactorch.inverse.shapes.result import ShapeReconstruction
@@ -91,12 +92,13 @@ class DraftSearch:
         for part in posterior.field.parts:
             center = np.arange(part.start, part.start + 3)
             covariance[center, center] += added
-        return ShapeReconstruction(
+        result = ShapeReconstruction(
             fit.field, fit.z, replace(posterior, covariance=covariance), fit.chi2,
             tuple(odds), min(any_odds, MAX_LOG_ODDS) if count else 0.0,
             unexplained=unexplained(fit, self.problem.data),
             history=(record("draft", fit),),
         )  # fmt: skip
+        return with_predictions(result, model, self.problem.recording)
 
     def _log_odds(self, model: Model, uniform: Model, k: int) -> float:
         """Return the log-evidence over that of the model without a ball."""

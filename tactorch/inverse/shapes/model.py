@@ -8,12 +8,17 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.inverse.data import DataModel
+from tactorch.inverse.held_out import held_out_score
+from tactorch.inverse.palpation import contacts_of
+from tactorch.inverse.predictions import Predictions
 from tactorch.inverse.problem import Evaluation
 from tactorch.inverse.shapes.field import ShapeField, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
 from tactorch.inverse.shapes.fractions import Geometry
 from tactorch.inverse.shapes.matched import Candidate
 from tactorch.inverse.shapes.posterior import ShapePosterior
+from tactorch.inverse.shapes.result import ShapeReconstruction
+from tactorch.recording import Recording
 
 FORCE_DEVIATIONS = (0.02, 0.05, 0.1)
 MIN_POSE_DEVIATION = 0.001  # that of the discretisation after its correction
@@ -125,6 +130,20 @@ def unexplained(fit: ShapeFit, data: DataModel) -> float:
     """Return the root mean square of the residuals beyond their noise, over the data's."""
     observed = np.concatenate([o.values for o in data.observations]) * data.scale
     return float(np.sqrt(max(fit.chi2 - 1.0, 0.0) / np.mean(observed**2)))
+
+
+def with_predictions(
+    result: ShapeReconstruction, model: Model, recording: Recording
+) -> ShapeReconstruction:
+    """Return a result with the predictions of its model, also of held-out contacts.
+
+    The model may be on a refinement of the recording's mesh.
+    """
+    fit, data = model.fit, model.evaluation.data
+    contacts = contacts_of(recording, data.observations)
+    score = held_out_score(data, contacts, fit.residuals, fit.jacobian, fit.covariance)
+    predictions = Predictions.of(model.evaluation, recording)
+    return replace(result, predictions=predictions, held_out=score)
 
 
 def make_posterior(model: Model, sites: Sites) -> ShapePosterior:

@@ -38,6 +38,7 @@ from tactorch.inverse.shapes.model import (
     unexplained,
     varied,
     with_ball,
+    with_predictions,
     without,
 )
 from tactorch.inverse.shapes.palpation_presses import PalpationPresses
@@ -325,4 +326,4 @@ def find_palpation_shapes(
             if not search.improve(max_shapes):
                 break
         update("final fit")
-        return search.result()
+        return with_predictions(search.result(), search.model, recording)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.special import expit
 
 from tactorch.display import Displayed
+from tactorch.inverse.predictions import Predictions
 from tactorch.inverse.shapes.field import Ellipsoid, ShapeField, Sites
 from tactorch.inverse.shapes.posterior import ShapePosterior
 
@@ -116,6 +117,9 @@ class ShapeReconstruction(Displayed):
         unexplained: Root mean square of the residuals beyond their noise and the recognised errors
             of forces and poses, over that of the observed displacements.
         history: The accepted models with their chi2 and log-evidence.
+        predictions: Predictions of the presses; None where the result comes from a file.
+        held_out: How well a contact is predicted from the others, see `tactorch.inverse.held_out`;
+            None where it is not known.
     """
 
     field: ShapeField
@@ -129,6 +133,8 @@ class ShapeReconstruction(Displayed):
     rim_deviation: float = 0.0
     unexplained: float = 0.0
     history: tuple[dict[str, Any], ...] = ()
+    predictions: Predictions | None = None
+    held_out: float | None = None
 
     def summary(self) -> str:
         """Return a description of the result in a few lines of text."""
@@ -168,6 +174,17 @@ class ShapeReconstruction(Displayed):
         sites = Sites.at(points)
         field = self.posterior.field
         return np.std([field.log_youngs(z, sites) for z in self.samples[:draws]], axis=0)
+
+    def intervals_of(
+        self, points: Float[np.ndarray, "m k 3"], level: float, draws: int = 200
+    ) -> Float[np.ndarray, "2 m"]:
+        """Return the ends of the central interval of the modulus of volumes, MPa.
+
+        The modulus of a volume is the geometric mean over its points (mm).
+        """
+        sites = Sites(points, np.zeros(len(points)), (len(points), 1))
+        logs = [self.posterior.field.log_youngs(z, sites) for z in self.samples[:draws]]
+        return np.exp(np.quantile(logs, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0))
 
     @cached_property
     def samples(self) -> Float[np.ndarray, "draws size"]:

@@ -27,6 +27,7 @@ from tactorch.inverse.shapes.model import (
     gain,
     record,
     unexplained,
+    with_predictions,
     without,
 )
 from tactorch.inverse.shapes.palpation import find_palpation_shapes
@@ -84,12 +85,12 @@ def find_shapes(
         return find_palpation_shapes(
             recording, settings, max_shapes=max_shapes, max_models=_MAX_MODELS, stop=stop
         )
-    if not is_same_model(recording):
-        recording = refined_at_contacts(recording)
+    refined = recording if is_same_model(recording) else refined_at_contacts(recording)
     with progress_line("search for inclusions") as update:
         update("elements at the contacts")
-        problem = ShapeProblem(recording, settings, stop, kept)
-        return _search(problem, start, max_shapes, update)
+        problem = ShapeProblem(refined, settings, stop, kept)
+        model, result = _search(problem, start, max_shapes, update)
+        return with_predictions(result, model, recording)
 
 
 def _search(
@@ -97,8 +98,8 @@ def _search(
     start: ShapeReconstruction | ShapeState | None,
     max_shapes: int,
     update: Callable[[str], None],
-) -> ShapeReconstruction:
-    """Accept models of more evidence until there is none."""
+) -> tuple[Model, ShapeReconstruction]:
+    """Accept models of more evidence until there is none; return the last one, and the result."""
     update("first model")
     model, history = _first(problem, start)
     try:
@@ -117,7 +118,7 @@ def _search(
         best, posterior = final_posterior(problem, model)
         if best is not model:
             history.append(record("balls as ellipsoids", best.fit))
-        return _result(problem, best, posterior, history)
+        return best, _result(problem, best, posterior, history)
     except CancelledError as error:
         error.reached = ShapeState(model.fit.field, model.fit.z, *model.errors)
         raise

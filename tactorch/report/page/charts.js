@@ -88,14 +88,9 @@ function makePresses() {
       select.add(new Option(`${press.name} (${formatNumber(press.force, 2)} N)`, i)));
     selectedPress.index = runs[selectedPress.run].presses.length - 1;
     select.value = selectedPress.index;
-    const { corrected } = runs[selectedPress.run];
-    query("#press-note").textContent = corrected === null
-      ? "The inversion does not correct the discretisation error, and neither do these residuals."
-      : corrected
-      ? "The discretisation error is removed from the residuals, as in the inversion, and is part" +
-        " of the standard deviations."
-      : "The discretisation error is not removed from the residuals, which requires solving the" +
-        " presses again (uncertainty=true). Standard deviations are those of the noise alone.";
+    query("#press-note").textContent = `Residuals are those of the ${runs[selectedPress.run].description}.` +
+      " Errors of the model that the inversion corrects are removed, and what remains of them is part of" +
+      " the standard deviations.";
   };
   select.addEventListener("change", () => {
     selectedPress.index = Number(select.value);
@@ -235,7 +230,7 @@ function drawCurve() {
   const low = Math.min(0.7, ...ys), high = Math.max(1.4, ...ys);
   const { toX, toY, box } = drawFrame(g, {
     width, height, x: [0, last], y: [low * 0.85, high * 1.2], logY: true,
-    xTitle: "iteration", yTitle: "residual (standard deviations)",
+    xTitle: "iteration or model", yTitle: "residual (standard deviations)",
   });
   g.strokeStyle = cssValue("text");
   g.setLineDash([2, 3]);
@@ -274,6 +269,6 @@ function drawCurve() {
   canvas.setAttribute("aria-label", "Convergence: " + runs.map((run, i) => {
     const end = curves[i][curves[i].length - 1];
     return end ? `${run.name} ends at ${formatNumber(end.deviations, 2)} standard deviations after ` +
-      `${end.iteration} iterations` : run.name;
+      `${end.iteration} iterations or models` : run.name;
   }).join("; "));
 }

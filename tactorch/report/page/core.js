@@ -58,7 +58,7 @@ function redraw() {
 // ------------------------------------------------------------ colours
 
 const MAPS = Object.fromEntries(Object.entries(data.maps).map(([k, v]) => [k, decode(v)]));
-const MODULI = new Set(["youngs", "truth", "reference"]);
+const MODULI = new Set(["youngs", "other", "truth", "reference"]);
 
 // Moduli use the selected colours and other fields cividis; in grey, all fields are grey.
 function colourMap(field) {

@@ -9,12 +9,19 @@ function decodeMap(run) {
   for (const [name, packed] of Object.entries(run.fields)) fields[name] = decodeField(packed);
   return {
     ...run, fields,
-    inclusion: run.inclusion && decode(run.inclusion),
+    lumps: run.lumps.map((lump) => ({
+      youngs: lump.youngs,
+      best: decodeSurface(lump.best), inner: decodeSurface(lump.inner), outer: decodeSurface(lump.outer),
+    })),
     trueInclusion: run.trueInclusion && decode(run.trueInclusion),
     contact: run.contact.map((c) => ({ ...c, triangles: decode(c.triangles) })),
     interval: run.interval && run.interval.map(decodeField),
     nodalModulus: null, nodalGradient: null,
   };
+}
+
+function decodeSurface(surface) {
+  return surface && { points: decode(surface.points), triangles: decode(surface.triangles) };
 }
 
 const runs = data.runs.map((run) => ({
@@ -67,9 +74,9 @@ function cut(run, axis, at) {
   return section;
 }
 
-// Sections of triangles by a plane: ends of segments.
-function cutTriangles(run, triangles, axis, at) {
-  const { points } = run, [across, up] = PLANE[axis], plane = planePosition(run, axis, at);
+// Sections of triangles by a plane: ends of segments. The points are by default those of the mesh.
+function cutTriangles(run, triangles, axis, at, points = run.points) {
+  const [across, up] = PLANE[axis], plane = planePosition(run, axis, at);
   const segments = [];
   for (let t = 0; t < triangles.length; t += 3) {
     const ends = [];

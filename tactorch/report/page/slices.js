@@ -126,8 +126,8 @@ function drawSlice(canvas, { run, field }, axis, at, frame, sharpness) {
     g.fill();
     g.stroke();
   }
-  const strokes = (triangles, styles) => {
-    const segments = cutTriangles(run, triangles, axis, at);
+  const strokes = (triangles, styles, points) => {
+    const segments = cutTriangles(run, triangles, axis, at, points);
     for (const [colour, width, dash] of styles) {
       g.strokeStyle = colour;
       g.lineWidth = width;
@@ -140,7 +140,12 @@ function drawSlice(canvas, { run, field }, axis, at, frame, sharpness) {
   strokes(run.surface, [[cssValue("soft"), 0.8]]);
   if (state.outlines) {
     if (run.trueInclusion) strokes(run.trueInclusion, [["#000", 2.6], ["#fff", 1.4, [4, 3]]]);
-    if (run.inclusion) strokes(run.inclusion, [["#000", 2.8], ["#fff", 1.4]]);
+    // Lumps are those of the result: the other description is not outlined.
+    for (const lump of field === "other" ? [] : run.lumps) {
+      for (const range of [lump.inner, lump.outer])
+        if (range) strokes(range.triangles, [["#000", 1.8], ["#fff", 1.2, [1, 3]]], range.points);
+      strokes(lump.best.triangles, [["#000", 2.8], ["#fff", 1.4]], lump.best.points);
+    }
     for (const patch of run.contact) {
       const segments = strokes(patch.triangles, [[CONTACT, 3]]);
       drawArrows(g, segments, patch.direction, frame);
@@ -334,7 +339,7 @@ function showValues(panel, event) {
     if (!isDefined(field, values[element])) text = `${title} undefined: the map is at a bound`;
     if (field === "youngs" && run.interval && isDefined("uncertainty", run.fields.uncertainty[element])) {
       const [low, high] = run.interval.map((end) => formatNumber(end[element]));
-      text += ` (95 %: ${low} to ${high})`;
+      text += ` (90 %: ${low} to ${high})`;
     }
     parts.push(text);
   }
@@ -354,7 +359,9 @@ function moveSlices(panel, event) {
 function describeFields() {
   const legend = [];
   const has = (what) => runs.some((run) => run[what] && run[what].length);
-  if (has("inclusion")) legend.push(["solid", "inclusion"]);
+  if (has("lumps")) legend.push(["solid", "lump"]);
+  if (runs.some((run) => run.lumps.some((lump) => lump.outer)))
+    legend.push(["dotted", "where its boundary is with a probability of 90 %"]);
   if (has("trueInclusion")) legend.push(["dashed", "true inclusions"]);
   if (has("contact")) legend.push(["touched", "contact, with arrows along the force"]);
   if (runs.some((run) => run.next)) legend.push(["next", "next press"]);

@@ -147,13 +147,19 @@ class View {
   // Update surfaces that depend on the controls.
   refresh() {
     const { run, shown } = this, at = state.at[solid.axis];
-    if (shown.level !== solid.level) {
-      const { positions, normals } = isosurface(run, solid.level);
+    if (shown.level !== solid.level || shown.chosen !== solid.chosen) {
+      const { positions, normals } = this.showsLumps() ? lumpSurfaces(run, "best") : isosurface(run, solid.level);
       this.put("level", positions, normals);
+      this.put("outer", ...(this.showsLumps() ? Object.values(lumpSurfaces(run, "outer")) : [[], []]));
     }
     const look = [solid.axis, at, state.colours, state.log, state.own].join();
     if (shown.look !== look) this.put("cut", ...cutFace(run, solid.axis, at));
-    this.shown = { level: solid.level, look };
+    this.shown = { level: solid.level, chosen: solid.chosen, look };
+  }
+
+  // Whether the surfaces of fitted inclusions are shown, rather than an isosurface of the field.
+  showsLumps() {
+    return !solid.chosen && this.run.lumps.some((lump) => lump.outer);
   }
 
   frame(width, height) {
@@ -190,7 +196,8 @@ class View {
     gl.uniform3fv(names.eye, this.away);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-    const colour = colourOf("youngs", solid.level).map((v) => v / 255);
+    const modulus = this.showsLumps() ? run.lumps[0].youngs : solid.level;
+    const colour = colourOf("youngs", modulus).map((v) => v / 255);
     this.paint("level", { colour, plane });
     if (solid.axis >= 0) {
       gl.enable(gl.POLYGON_OFFSET_FILL); // the cut is in front of the isosurface
@@ -207,6 +214,7 @@ class View {
       this.paint("body", { colour: neutral, clear: dark ? 0.1 : 0.09, plane });
     }
     gl.disable(gl.CULL_FACE);
+    this.paint("outer", { colour, clear: 0.12, plane });
     gl.depthFunc(gl.LEQUAL);
     const touch = grey ? neutral : [0.835, 0.369, 0];
     this.paint("touched", { colour: touch, clear: 0.1, lit: false, plane });
@@ -252,9 +260,12 @@ class View {
       }
       g.fillText(`${AXES[axis]} (mm)`, mx + 30 * out[0], my + 26 * out[1]);
     }
+    const what = this.showsLumps()
+      ? `the surface of each lump, of ${this.run.lumps.map((l) => `${formatNumber(l.youngs)} MPa`).join(", ")}, ` +
+        "and a translucent one around it that holds it with a probability of 95 %"
+      : `the isosurface of Young's modulus at ${formatNumber(solid.level)} MPa`;
     const label =
-      `3-D view of ${this.run.name}: the isosurface of Young's modulus at ` +
-      `${formatNumber(solid.level)} MPa, in the translucent body` +
+      `3-D view of ${this.run.name}: ${what}, in the translucent body` +
       (solid.axis < 0 ? "" : `, cut across ${AXES[solid.axis]} at ${formatMm(state.at[solid.axis])} mm`);
     this.canvas.setAttribute("aria-label", label);
     query(".paper", this.container).textContent = label;
@@ -288,10 +299,21 @@ function circle({ center, inward, radius }) {
   return points;
 }
 
-function expandTriangles(run, list) {
+// Triangles of one kind of surface of all lumps, for drawing.
+function lumpSurfaces(run, kind) {
+  const positions = [], normals = [];
+  for (const surface of run.lumps.map((lump) => lump[kind]).filter(Boolean)) {
+    const [position, normal] = expandTriangles(surface, surface.triangles);
+    for (const value of position) positions.push(value);
+    for (const value of normal) normals.push(value);
+  }
+  return { positions, normals };
+}
+
+function expandTriangles({ points }, list) {
   const position = [], normal = [];
   for (let t = 0; t < list.length; t += 3) {
-    const p = [0, 1, 2].map((k) => [...run.points.subarray(3 * list[t + k], 3 * list[t + k] + 3)]);
+    const p = [0, 1, 2].map((k) => [...points.subarray(3 * list[t + k], 3 * list[t + k] + 3)]);
     const [a, b] = [1, 2].map((k) => p[k].map((v, d) => v - p[0][d]));
     const n = cross(a, b), size = Math.hypot(...n) || 1;
     for (const q of p) {
@@ -454,8 +476,9 @@ function makeViews() {
 
 function drawViews() {
   const { axis } = solid, at = query("#cut-at");
-  query("#level-out").textContent = `${formatNumber(solid.level)} MPa`;
-  query("#level").setAttribute("aria-valuetext", `${formatNumber(solid.level)} MPa`);
+  const shown = views.some((view) => view.showsLumps()) ? "lumps" : `${formatNumber(solid.level)} MPa`;
+  query("#level-out").textContent = shown;
+  query("#level").setAttribute("aria-valuetext", shown);
   for (const control of queryAll("#cut-position, #flip")) control.hidden = axis < 0;
   query("#cut-out").textContent = axis < 0 ? "" : `${formatMm(state.at[axis])} mm`;
   if (axis >= 0) {

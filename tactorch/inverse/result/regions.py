@@ -1,9 +1,15 @@
-"""Lumps of a map: the connected regions of its segmentation (`tactorch.metrics.segment`)."""
+"""Lumps of an element map: connected parts of its segmentation (`tactorch.metrics.segment`)."""
+
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.special import ndtr, ndtri
 
 from tactorch.errors import ConfigError
+from tactorch.inverse.parameterization import Parameterization
+from tactorch.inverse.result.lump import TAIL, Confidence, Lump, measure_depth
 from tactorch.mesh import TetMesh
 from tactorch.metrics import Inclusion
 from tactorch.metrics.segment import (
@@ -14,10 +20,26 @@ from tactorch.metrics.segment import (
     volume_mean,
     weighted_median,
 )
+from tactorch.recording import Press
 
 Field = Float[np.ndarray, " m"]
 Mask = Bool[np.ndarray, " m"]
 _MIN_RELATIVE_CONTRAST = 0.2  # log-contrast over that of the most conspicuous lump
+
+
+class MapPosterior(Protocol):
+    """A posterior of an element map, such as `tactorch.uncertainty.GaussianPosterior`."""
+
+    parameterization: Parameterization
+
+    def sample(self, rng: np.random.Generator, n: int) -> Float[np.ndarray, "n m"]:
+        """Draw parameters, one map per row."""
+
+    def deviation(self) -> Field:
+        """Return the standard deviation of each element's parameter."""
+
+    def interval(self, level: float) -> tuple[Field, Field]:
+        """Return the central interval of each element's modulus, MPa."""
 
 
 def find_lumps(
@@ -92,3 +114,40 @@ def adjacent_elements(mesh: TetMesh, elements: Mask) -> Mask:
 
 def _log_contrast(lump: Inclusion) -> float:
     return abs(float(np.log(lump.contrast)))
+
+
+def build_lump(
+    mesh: TetMesh,
+    presses: Sequence[Press],
+    lump: Inclusion,
+    posterior: MapPosterior | None = None,
+) -> Lump:
+    """Measure size, depth and confidence of an inclusion."""
+    # The size is that of the ellipsoid with the second moments of the elements. Their bounding box
+    # would be too large: it holds corners far from the lump.
+    offsets = mesh.centroids - lump.center_mm
+    within = np.ptp(mesh.points[mesh.tets], axis=1) ** 2 / 20.0  # approximate moment of an element
+    size = 2.0 * np.sqrt(5.0 * volume_mean(mesh, offsets**2 + within, lump.elements))
+    depth = measure_depth(mesh, presses, lump.center_mm, lump.elements)
+    confidence = None if posterior is None else compute_confidence(mesh, lump, posterior)
+    return Lump(lump, size, depth, confidence)
+
+
+def compute_confidence(
+    mesh: TetMesh, lump: Inclusion, posterior: MapPosterior, *, draws: int = 400, seed: int = 0
+) -> Confidence:
+    """Estimate the confidence of a lump of the posterior's map from samples of the posterior."""
+    rng = np.random.default_rng(seed)
+    x = np.clip(posterior.sample(rng, draws), *posterior.parameterization.limits)
+    log_youngs = np.log(np.array([posterior.parameterization.youngs(row) for row in x]))
+    near, sign = adjacent_elements(mesh, lump.elements), 1.0 if lump.side == "stiff" else -1.0
+    background = volume_mean(mesh, log_youngs.T, ~near)
+    # The contrast is that of the map; the samples' geometric means give its relative uncertainty.
+    contrast = np.log(lump.contrast)
+    deviation = (volume_mean(mesh, log_youngs.T, lump.elements) - background).std()
+    low, high = np.exp(contrast + deviation * ndtri([TAIL, 1.0 - TAIL]))
+    probability = ndtr(sign * contrast / deviation) if deviation > 0 else 1.0
+    # Centres are weighted by the excess over the background.
+    excess = np.maximum(sign * (log_youngs - background[:, None]), 0.0) * (mesh.volumes * near)
+    centers = excess @ mesh.centroids / np.maximum(excess.sum(axis=1, keepdims=True), 1e-300)
+    return Confidence(float(probability), (float(low), float(high)), centers.std(axis=0))

@@ -1,12 +1,13 @@
-"""Findings from shapes that were fitted to the presses."""
+"""Lumps of inclusions that were fitted to the presses, and what the presses say beside them."""
 
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.findings.elongation import Elongation
-from tactorch.findings.finding import Confidence, Finding, Lump, measure_depth
 from tactorch.inverse.palpation import is_palpation
-from tactorch.inverse.shapes import Ellipsoid, ShapeInclusion, ShapeReconstruction
+from tactorch.inverse.result.elongation import Elongation
+from tactorch.inverse.result.lump import Confidence, Lump, measure_depth
+from tactorch.inverse.shapes.field import Ellipsoid
+from tactorch.inverse.shapes.result import ShapeInclusion, ShapeReconstruction
 from tactorch.metrics import Inclusion
 from tactorch.recording import Recording
 
@@ -16,33 +17,29 @@ _MIN_NOTED_POSE = 0.005  # relative deviation above that of the discretisation
 _MIN_PROBABILITY = 0.9  # of a lump that is reported
 
 
-def build_shape_finding(recording: Recording, result: ShapeReconstruction) -> Finding:
-    """Return the inclusions of a search for shapes as lumps, with depths and intervals.
-
-    Inclusions whose probability is below 90 % are omitted. Where the best model leaves more than a
-    tenth of the displacements unexplained, beyond the noise, the presses cannot tell.
+def lumps_of(recording: Recording, result: ShapeReconstruction) -> tuple[Lump, ...]:
+    """Return the inclusions whose probability is 90 % or more as lumps, with depths and intervals.
 
     Args:
         recording: Presses; the truth is not read.
         result: Result of `find_shapes` for this recording.
     """
-    background, probability = result.background_mpa, result.probability
-    notes = _notes(recording, result)
-    if result.unexplained > MAX_UNEXPLAINED:
-        reason = (
-            f"the best model leaves {result.unexplained:.0%} of the displacements unexplained. "
-            "Check the forces, the supports and the shape of the object, and the stated noise."
-        )
-        return Finding(recording.mesh, (), background, (reason,), probability, notes, result)
-    lumps = tuple(
-        _lump(recording, inclusion)
-        for inclusion in result.inclusions
-        if inclusion.probability >= _MIN_PROBABILITY
+    found = (i for i in result.inclusions if i.probability >= _MIN_PROBABILITY)
+    return tuple(_lump(recording, inclusion) for inclusion in found)
+
+
+def reasons_of(result: ShapeReconstruction) -> tuple[str, ...]:
+    """Return why the presses cannot tell: more than a tenth of the data is unexplained."""
+    if result.unexplained <= MAX_UNEXPLAINED:
+        return ()
+    reason = (
+        f"the best model leaves {result.unexplained:.0%} of the displacements unexplained. "
+        "Check the forces, the supports and the shape of the object, and the stated noise."
     )
-    return Finding(recording.mesh, lumps, background, (), probability, notes, result)
+    return (reason,)
 
 
-def _notes(recording: Recording, result: ShapeReconstruction) -> tuple[str, ...]:
+def warnings_of(recording: Recording, result: ShapeReconstruction) -> tuple[str, ...]:
     """Return errors of forces and poses that the data show."""
     notes = []
     if result.force_deviation and is_palpation(recording):
