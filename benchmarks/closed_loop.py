@@ -184,7 +184,7 @@ class Progress(Observer):
 
     def found(self, update: Update) -> None:
         """See `Observer.found`."""
-        shapes, count = update.finding.shapes, update.entry["press"]
+        shapes, count = update.result.shapes, update.entry["press"]
         text = " ".join(f"{odds:.1f}" for odds in shapes.log_odds) if shapes else "no shapes"
         width = [f"{position_width_mm(lump):.2f} mm" for lump in update.entry["finding"]["lumps"]]
         chi2 = f"{shapes.chi2:.2f}" if shapes else "-"

@@ -66,7 +66,7 @@ def main(folder: Path | None = None, max_presses: int = 10) -> dict[str, float]:
         presser, places, folder or Path(tempfile.mkdtemp()), StopRule(width_mm=1.8)
     )
     ended = press_until_known(session, options=LoopOptions(max_presses=max_presses))
-    lumps = ended.update.finding.lumps
+    lumps = ended.update.result.lumps
     print(f"The robot pressed {len(session.pressed)} times, and {ended.reason}.")
     off = float(np.linalg.norm(lumps[0].inclusion.center_mm - [5.0, 5.0, 6.5])) if lumps else np.inf
     print(f"The lump is {off:.2f} mm from the ball's middle.")

@@ -69,15 +69,18 @@ def _assess(run: Run, recording: Recording, progress: ProgressCallback) -> RunRe
         assert known is not None
         step(4)
         return RunReport(run, replace(known, credibility=metric))
-    report = _of_elements(run, recording, point)
+    report = _of_elements(run, recording, point, lambda: step(3))
     step(4)
     assert report.uncertainty is not None
     return replace(report, uncertainty=replace(report.uncertainty, credibility=metric))
 
 
-def _of_elements(run: Run, recording: Recording, point: Point) -> RunReport:
+def _of_elements(
+    run: Run, recording: Recording, point: Point, on_posterior: Callable[[], None]
+) -> RunReport:
     """Return the report of an element map with its posterior."""
     posterior = posterior_at(point, run.result.history[-1].get("weight", 0.0))
+    on_posterior()
     low, high = posterior.interval(LEVEL)
     bounds, youngs = posterior.parameterization.bounds, point.youngs
     at_bound = youngs < (1 + _AT_BOUND) * bounds.lower
@@ -97,12 +100,16 @@ def _fits(run: Run, recording: Recording) -> list[PressFit]:
     predicted = _of_length(run.result.predicted, count)
     residuals = _of_length(run.result.residuals, count)
     fits, begin = [], 0
-    for press, deviation in zip(recording.presses, run.noise.deviations(recording), strict=True):
+    deviations = run.noise.deviations(recording)
+    for i, (press, deviation) in enumerate(zip(recording.presses, deviations, strict=True)):
         observation = Observation.of(press, deviation)
         rows = slice(begin, begin + len(observation.values))
         begin, index = rows.stop, observation.index
         difference, scaled = predicted[rows] - observation.values, residuals[rows]
         if np.isnan(scaled).all():  # of an earlier version
+            if i < len(run.result.displacements):
+                moved = run.result.displacements[i].ravel()[index]
+                difference[observation.nodal] = moved - observation.values[observation.nodal]
             scaled = difference * observation.scale
         values = np.full((2, recording.mesh.n_points * 3), np.nan)
         values[:, index] = difference[observation.nodal], scaled[observation.nodal]

@@ -195,9 +195,13 @@ def _press_data(number: int, press: Press, fit: PressFit) -> dict[str, Any]:
         "observed": rows(press.displacement[nodes]),
         "residual": rows(fit.residual[nodes]),
         "deviations": rows(fit.deviations[nodes]),
-        "rms_um": 1e3 * fit.rms_mm,
-        "rms_deviations": fit.rms_deviations,
+        "rms_um": _known(1e3 * fit.rms_mm),
+        "rms_deviations": _known(fit.rms_deviations),
     }
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
 def _colour_table(cmap: str) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tactorch.errors import CancelledError, ConvergenceError, FileError
+from tactorch.errors import CancelledError, FileError, TactorchError
 from tactorch.files import read_json, write_json
 from tactorch.inverse import Reconstruction, Settings, ShapeReconstruction, invert
 from tactorch.inverse.result.build import config_of, of_inclusions
@@ -61,9 +61,9 @@ class InclusionSearch:
         except CancelledError as error:
             self._reached = error.reached or self._reached
             raise
-        except ConvergenceError as error:
-            self._reached = None
-            return elements.with_warning(f"No inclusions can be fitted ({error}).")
+        except (TactorchError, MemoryError, RuntimeError) as error:
+            self._reached, reason = None, str(error).rstrip(".") or "not enough memory"
+            return elements.with_warning(f"No inclusions can be fitted ({reason}).")
         self._reached = None
         self._last = result, len(recording.presses)
         if self._path is not None and result.shapes is not None:

@@ -242,7 +242,7 @@ class SamplingLoop:
         self._suggester = suggester or Suggester(settings)
         self._restart, self._target_deviation = restart, target_deviation
         self._max_presses = self._options.max_presses or sys.maxsize
-        digest = _digest(to_mapping(replace(settings, max_seconds=None)))
+        digest = _digest(to_mapping(replace(settings, max_seconds=None, method="auto")))
         self._store = None if folder is None else Store(folder, digest)
         self._inclusions = inclusions or InclusionSearch(settings, folder)
         self._closed_end = end

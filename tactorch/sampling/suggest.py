@@ -12,11 +12,12 @@ from tactorch.config import Options, option
 from tactorch.errors import ConfigError, ConvergenceError, RecordingError
 from tactorch.inverse import InverseProblem, Point, Settings, ShapeReconstruction
 from tactorch.inverse.data import CorrelatedNoise, smooth_pattern
+from tactorch.inverse.posterior import GaussianPosterior
 from tactorch.recording import Press, Recording
 from tactorch.sampling.candidates import Candidates, InferredCandidates, Patch
 from tactorch.sampling.rules import RULES, Automatic, Jacobian, Rule, SamplingState
 from tactorch.uncertainty.gaussian_state import GaussianState
-from tactorch.uncertainty.laplace import GaussianPosterior, LaplacePosterior
+from tactorch.uncertainty.laplace import LaplacePosterior
 from tactorch.uncertainty.variational import (
     VariationalPosterior,
     has_variational_posterior,

@@ -5,9 +5,10 @@
 intervals of `find_shapes` by samples.
 """
 
+from tactorch.inverse.posterior import GaussianPosterior
 from tactorch.uncertainty.coverage import Coverage, calibration_curve, calibration_error, coverage
 from tactorch.uncertainty.gaussian_state import GaussianState
-from tactorch.uncertainty.laplace import GaussianPosterior, LaplacePosterior
+from tactorch.uncertainty.laplace import LaplacePosterior
 from tactorch.uncertainty.low_rank import LowRankPosterior
 from tactorch.uncertainty.select import compute_posterior
 from tactorch.uncertainty.sensitivity import credibility, layer_profile, sensitivity_matrix

@@ -24,8 +24,9 @@ from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Parameterization, Point
+from tactorch.inverse.posterior import Field, GaussianPosterior
 from tactorch.linalg.superlu import SparseFactor
-from tactorch.uncertainty.laplace import Field, GaussianPosterior, check_weight
+from tactorch.uncertainty.laplace import check_weight
 
 Product = Callable[[np.ndarray], np.ndarray]
 

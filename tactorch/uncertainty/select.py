@@ -3,8 +3,9 @@
 from tactorch.errors import TactorchError
 from tactorch.inverse import Point, Reconstruction, Settings
 from tactorch.inverse.invert import solution
+from tactorch.inverse.posterior import GaussianPosterior
 from tactorch.recording import Recording
-from tactorch.uncertainty.laplace import GaussianPosterior, LaplacePosterior
+from tactorch.uncertainty.laplace import LaplacePosterior
 from tactorch.uncertainty.low_rank import LowRankPosterior
 from tactorch.uncertainty.variational import has_variational_posterior, variational_posterior
 

@@ -5,9 +5,9 @@ from jaxtyping import Float
 
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.inverse import Evaluation
+from tactorch.inverse.posterior import Field
 from tactorch.mesh import TetMesh
 from tactorch.mesh.quadrature import lattice
-from tactorch.uncertainty.laplace import Field
 
 _SUBDIVISIONS = 11  # sample points along an edge of an element
 

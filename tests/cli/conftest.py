@@ -87,6 +87,12 @@ def tactorch(
 
 
 @pytest.fixture(scope="session")
+def tactorch_module() -> Callable[..., int]:
+    """Return the command for fixtures of a module; it returns the exit status."""
+    return lambda *arguments: run_here(arguments)
+
+
+@pytest.fixture(scope="session")
 def recording_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a recording of two presses on a cube of 40 tetrahedra."""
     from tactorch.mesh import box_mesh

@@ -1,88 +1,88 @@
-"""`tactorch find`: what a run's map shows, in words and numbers."""
+"""`tactorch find`: inclusions under the presses of an earlier run."""
 
 import json
 import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 from tactorch.errors import FileError
-from tactorch.findings import build_shape_finding
+from tactorch.inverse import Reconstruction
+from tactorch.inverse.result.text import describe
 from tactorch.learning.recognizer import Recognizer
 from tactorch.report import load_run
 from tactorch.report.assessment import assess
 
 
-def test_lumps_are_told_with_how_sure_they_are(tactorch: Any, finished_run: Path) -> None:
-    before = (finished_run / "summary.json").read_bytes()
-    done = tactorch("find", finished_run, "shapes=false", "out=.")
-    assert done.status == 0, done.err
-    assert (finished_run / "summary.json").read_bytes() == before  # another folder has the finding
-    text = Path("finding.txt").read_text()
-    assert text.strip() in done.out
-    values = json.loads(Path("finding.json").read_text())
-    for lump in values["lumps"]:
-        assert 0.0 <= lump["probability"] <= 1.0
-        assert lump["depth_mm"] > 0
-    assert ("Given noise and prior" in text) == (values["status"] == "found")
+@pytest.fixture(scope="module")
+def searched(tactorch_module: Any, finished_run: Path, tmp_path_factory: Any) -> Path:
+    """A run of method=map, whose presses were searched for inclusions afterwards."""
+    folder = Path(shutil.copytree(finished_run, tmp_path_factory.mktemp("find") / "run"))
+    assert tactorch_module("find", folder) == 0
+    return folder
 
 
-def test_shapes_are_fitted_and_shown_by_the_report(tactorch: Any, finished_run: Path) -> None:
-    folder = Path("run")
-    shutil.copytree(finished_run, folder)
-    done = tactorch("find", folder)
-    assert done.status == 0, done.err
-    values = json.loads((folder / "finding.json").read_text())
+def test_inclusions_become_the_result_and_the_map_stays_beside_them(
+    searched: Path, finished_run: Path
+) -> None:
+    before = Reconstruction.load(finished_run / "reconstruction.h5")
+    run = load_run(searched)
+    assert before.shapes is None
+    assert run.result.shapes is not None
+    assert run.result.other is not None
+    np.testing.assert_array_equal(run.result.other.youngs, before.youngs)
+    values = json.loads((searched / "finding.json").read_text())
+    assert values == run.result.plain() == run.summary["finding"]
     assert values["status"] in {"found", "nothing found", "cannot tell"}
     assert 0.0 <= values["probability"] <= 1.0
     for lump in values["lumps"]:
         low, high = lump["mean_90_mpa"]
         assert low < lump["mean_mpa"] < high
+    assert assess(run, uncertainty=False).result.plain() == values
+    assert describe(run.result) in run.text
+    assert (searched / "finding.txt").read_text() == f"{describe(run.result)}\n"
+
+
+def test_a_run_with_inclusions_keeps_them(tactorch: Any, searched: Path) -> None:
+    before = (searched / "reconstruction.h5").read_bytes()
+    assert tactorch("find", searched).status == 0
+    assert (searched / "reconstruction.h5").read_bytes() == before
+
+
+def test_the_inclusions_of_an_earlier_version_are_read(
+    searched: Path, finished_run: Path, tmp_path: Path
+) -> None:
+    """It kept them in a file of their own."""
+    shapes = load_run(searched).result.shapes
+    assert shapes is not None
+    folder = Path(shutil.copytree(finished_run, tmp_path / "old"))
+    from h5py import File
+
+    with File(folder / "reconstruction.h5", "r+") as file:
+        file.attrs["version"] = 1
+        del file["finding"], file["residuals"]
+    assert load_run(folder).result.shapes is None
+    (folder / "shapes.json").write_text(json.dumps(shapes.plain()))
     run = load_run(folder)
-    assert run.shapes is not None
-    assert run.recording is not None
-    finding = build_shape_finding(run.recording, run.shapes)
-    assert finding.plain() == values
-    assert assess(run, uncertainty=False).finding.plain() == values
-    assert run.summary["finding"] == values
-    before = json.loads((finished_run / "summary.json").read_text())
-    assert {**before, "finding": values} == run.summary
-    assert finding.text() in run.text
+    assert run.result.shapes is not None
+    np.testing.assert_array_equal(run.result.shapes.z, shapes.z)
+    assert run.result.other is not None
     (folder / "shapes.json").write_text("{}")
     with pytest.raises(FileError, match="tactorch find"):
         load_run(folder)
 
 
-def test_regions_replace_the_shapes_of_an_earlier_search(tactorch: Any, finished_run: Path) -> None:
-    folder = Path("run")
-    shutil.copytree(finished_run, folder)
-    for name in ("shapes.json", "shapes.png"):
-        (folder / name).write_text("{}")
-    done = tactorch("find", folder, "shapes=false", "uncertainty=false")
-    assert done.status == 0, done.err
-    assert not list(folder.glob("shapes.*"))
-    assert load_run(folder).shapes is None
-
-
-def test_without_uncertainty_nothing_is_said_of_it(tactorch: Any, finished_run: Path) -> None:
-    done = tactorch(
-        "find", f"run={finished_run}", "shapes=false", "uncertainty=false", "out=elsewhere"
-    )
-    assert done.status == 0, done.err
-    assert "Given noise and prior" not in Path("elsewhere/finding.txt").read_text()
-
-
-def test_a_recognizer_names_the_shape(tactorch: Any, finished_run: Path) -> None:
+def test_a_recognizer_names_the_shape(tactorch: Any, searched: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(searched, tmp_path / "named"))
     network = Recognizer(["cake", "cone"], hidden=2)
     content = {"state_dict": network.state_dict(), "hyper_parameters": dict(network.hparams)}
     torch.save(content, "best.ckpt")
-    done = tactorch(
-        "find", finished_run, "shapes=false", "uncertainty=false", "recognizer=best.ckpt", "out=."
-    )
+    done = tactorch("find", folder, "recognizer=best.ckpt")
     assert done.status == 0, done.err
-    shapes = json.loads(Path("finding.json").read_text())["shapes"]
+    shapes = json.loads((folder / "finding.json").read_text())["shapes"]
     assert set(shapes) == {"cake", "cone"}
     assert "it looks like: " in done.out
 
@@ -95,14 +95,15 @@ def test_a_recognizer_names_the_shape(tactorch: Any, finished_run: Path) -> None
         (("run=RUN", "max_lumps=0"), "max_lumps=0"),
         (("run=RUN", "max_lumps=x"), "max_lumps='x': give a whole number"),
         (("run=RUN", "recording=gone.h5"), "gone.h5"),
-        (("run=RUN", "shapes=false", "uncertainty=false", "recognizer=gone.ckpt"), "gone.ckpt"),
+        (("run=RUN", "recognizer=gone.ckpt"), "gone.ckpt"),
     ],
 )
 def test_wrong_input(
     tactorch: Any, finished_run: Path, settings: tuple[str, ...], words: str
 ) -> None:
     given = [word.replace("RUN", str(finished_run)) for word in settings]
+    before = (finished_run / "finding.json").read_bytes()
     done = tactorch("find", *given)
     assert done.status == 2
     assert words in done.err
-    assert not Path("finding.json").exists()
+    assert (finished_run / "finding.json").read_bytes() == before

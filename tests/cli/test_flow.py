@@ -111,9 +111,9 @@ def test_a_map_at_its_bounds_is_told(
     )  # fmt: skip
     assert done.status == 0, done.err
     content = (tmp_path / "summary.txt").read_text()
-    assert ("DO NOT TRUST" in content) == (lower == 0.3)
+    assert ("Do not trust" in content) == (lower == 0.3)
     assert (summary_of(tmp_path)["volume_at_bounds"] > 0.2) == (lower == 0.3)
-    assert len(summary_of(tmp_path)["warnings"]) == (lower == 0.3)
+    assert len(summary_of(tmp_path)["finding"]["reasons"]) == (lower == 0.3)
 
 
 def test_run_folder_tells_how_it_came_about(tactorch: Any, recording: Path, tmp_path: Path) -> None:

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from tactorch.cli.live_view import Screen
-from tactorch.findings import Confidence, Finding, Lump
-from tactorch.inverse import IncrementalResult, Reconstruction
+from tactorch.inverse import IncrementalResult, Lump, Reconstruction
+from tactorch.inverse.result import Confidence
+from tactorch.inverse.result.text import describe
 from tactorch.metrics import Inclusion
 from tactorch.recording import Recording
 from tactorch.sampling import Update
@@ -31,7 +32,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 QUICK = (
     *("pause_seconds=0", "poll_seconds=0.01", "max_iterations=2", "suggest.candidates=4"),
-    "shapes=false",
+    "method=map",
 )
 
 
@@ -83,7 +84,7 @@ def test_a_replay_ends_with_its_last_press(tactorch: Callable[..., Any], recordi
 
 
 def test_shapes_are_found_and_shown(tactorch: Callable[..., Any], recording_file: Path) -> None:
-    given = ("idle_seconds=0.01", "shapes=true", "suggest.rule=none", "plots=false", "run_dir=run")
+    given = ("idle_seconds=0.01", "method=auto", "suggest.rule=none", "plots=false", "run_dir=run")
     done = tactorch("live", f"recording={recording_file}", *QUICK, *given)
     assert done.status == 0, done.err
     history = [json.loads(line) for line in Path("run/history.jsonl").read_text().splitlines()]
@@ -92,7 +93,11 @@ def test_shapes_are_found_and_shown(tactorch: Callable[..., Any], recording_file
     assert finding["probability"] is not None
     assert "press 2, shapes: " in done.out
     page = Path("run/live.html").read_text()
-    texts = {"found": " lump at (", "nothing found": "Nothing found", "cannot tell": "Cannot tell"}
+    texts = {
+        "found": " lump at (",
+        "nothing found": "Nothing found",
+        "cannot tell": "Do not trust this result",
+    }
     text = texts[finding["status"]]
     assert text in page
     assert text in done.out.split("The run ended: ")[0]
@@ -109,18 +114,20 @@ class Screens:
         self.folder, self._recording = folder, recording
         self.screen = Screen(folder, Path("session.h5"), plots=False)
 
-    def update(self, presses: int, finding: Finding, total: int = 2) -> Update:
+    def update(self, presses: int, result: Reconstruction, total: int = 2) -> Update:
         entry = {
             "press": total, "names": ["x"], "seconds": 1.0, "chi2": 1.0, "inclusion": None,
-            "youngs_median_mpa": 0.2, "finding": finding.plain(), "finding_presses": presses,
+            "youngs_median_mpa": 0.2, "finding": result.plain(), "finding_presses": presses,
         }  # fmt: skip
         nothing: Any = None
+        solution = IncrementalResult(result, nothing, 0.0, True)
+        return Update(self._recording, solution, result, presses, entry)
+
+    def result(self, **found: Any) -> Reconstruction:
         mesh = self._recording.mesh
         history = [{"iteration": 0, "seconds": 0.0, "misfit": 1.0, "chi2": 1.0}]
-        youngs, moved = np.full(mesh.n_tets, 0.2), np.zeros((total, mesh.n_points, 3))
-        result = Reconstruction(mesh, youngs, moved, history, "x", 1.0)
-        solution = IncrementalResult(result, nothing, 0.0, True)
-        return Update(self._recording, solution, None, finding, presses, entry)
+        youngs, moved = np.full(mesh.n_tets, 0.2), np.zeros((2, mesh.n_points, 3))
+        return Reconstruction(mesh, youngs, moved, history, "x", 1.0, background_mpa=0.2, **found)
 
     def page(self) -> str:
         return html.unescape((self.folder / "live.html").read_text())
@@ -131,15 +138,13 @@ def screens(tmp_path: Path, recording: Path) -> Screens:
     return Screens(tmp_path, Recording.load(recording))
 
 
-def a_ball(screens: Screens) -> Finding:
+def a_ball(screens: Screens) -> Reconstruction:
     inside = np.zeros(screens._recording.mesh.n_tets, dtype=bool)
     inside[:3] = True
     center, interval = np.array([5.0, 5.0, 6.0]), (1.9, 2.1)
     inclusion = Inclusion(center, 33.5, 2.0, 0.94, 0.2, inside, "stiff")
     confidence = Confidence(0.9999, (3.7, 6.0), np.full(3, 0.01), interval, (0.74, 1.2))
-    return Finding(
-        screens._recording.mesh, (Lump(inclusion, np.full(3, 4.0), None, confidence),), 0.2
-    )
+    return screens.result(lumps=(Lump(inclusion, np.full(3, 4.0), None, confidence),))
 
 
 def test_the_finding_is_shown_with_its_intervals_and_of_how_many_presses_it_is(
@@ -148,21 +153,21 @@ def test_the_finding_is_shown_with_its_intervals_and_of_how_many_presses_it_is(
     finding = a_ball(screens)
     screens.screen.updated(screens.update(1, finding))
     page = screens.page()
-    assert f"Of the first 1 of 2 presses:\n{finding.text()}" in page
+    assert f"Of the first 1 of 2 presses:\n{describe(finding)}" in page
     cell = "radius 2.0 (1.9 to 2.1) mm: 0.94 (0.74 to 1.2) MPa in 0.2"
     assert f"{cell}; of the first 1 presses</td>" in page
     screens.screen.found(screens.update(2, replace(finding, probability=1.0)))
     page = screens.page()
     assert "Of the first" not in page
-    assert finding.text() in page
+    assert describe(finding) in page
     assert "90 % intervals are 1.9 to 2.1 mm" in page
 
 
 def test_the_page_says_that_the_presses_cannot_tell(screens: Screens) -> None:
-    finding = Finding(screens._recording.mesh, (), 0.2, ("40% of the map is at a bound.",))
+    finding = screens.result(reasons=("40% of the map is at a bound.",))
     screens.screen.updated(screens.update(2, finding))
     page = screens.page()
-    assert "Cannot tell whether there is a lump: 40% of the map is at a bound." in page
+    assert "Do not trust this result: 40% of the map is at a bound." in page
     assert "<td>cannot tell</td>" in page
 
 

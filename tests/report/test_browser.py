@@ -26,7 +26,7 @@ def test_it_needs_nothing_but_itself(report: Path, visit: Open) -> None:
     assert seen.requests == [seen.address]
     assert not seen.troubles
     assert seen.page.locator("#error").is_hidden()
-    assert "inclusion" in seen.page.locator("h1").inner_text().lower()
+    assert "lump" in seen.page.locator("h1").inner_text().lower()
 
 
 def test_sliders_move_their_slices_by_hand_and_by_keys(report: Path, visit: Open) -> None:

@@ -51,7 +51,7 @@ def run(tmp_path: Path) -> Callable[..., tuple[RobotSession, LoopResult, Any]]:
 def test_the_ball_is_found_and_the_run_ends(run: Any, tmp_path: Path) -> None:
     session, ended, robot = run(BALL, StopRule(width_mm=1.6), press_seconds=2.0, failure_rate=0.15)
     assert "mm wide after" in ended.reason
-    lump = ended.update.finding.lumps[0]
+    lump = ended.update.result.lumps[0]
     assert np.linalg.norm(lump.inclusion.center_mm - [5.0, 5.0, 6.5]) < 0.8
     presses = len(session.pressed)
     assert 3 <= presses <= len(PLACES)
@@ -66,7 +66,7 @@ def test_nothing_is_found_in_a_uniform_cube_and_the_run_ends(run: Any) -> None:
     session, ended, _ = run(UniformCube(), StopRule(empty_presses=4))
     assert "nothing was found" in ended.reason
     assert len(session.pressed) == 4
-    assert not ended.update.finding.lumps
+    assert not ended.update.result.lumps
 
 
 def test_a_run_continues_after_a_failure_of_the_robot(

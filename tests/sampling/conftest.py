@@ -94,13 +94,15 @@ class Live:
         folder: Path | None = None,
         suggest: SuggestOptions | None = None,
         rule: str = "none",
+        shapes: bool = False,
         settings: Settings | None = None,
         **options: Any,
     ) -> LoopResult:
         """Follow until nothing comes any more, one press at a time."""
-        settings, view = settings or Settings(), view or self.view
+        method = "auto" if shapes else "map"
+        settings, view = replace(settings or Settings(), method=method), view or self.view
         usual = {"idle_seconds": 0.05, "poll_seconds": 0.01, "max_batch": 1, "max_iterations": 3}
-        usual |= {"update_seconds": None, "shapes": False}
+        usual |= {"update_seconds": None}
         suggest = suggest or SuggestOptions(rule=rule, candidates=6)
         return SamplingLoop(
             RecordingSource(self.path, report=view.show_message),

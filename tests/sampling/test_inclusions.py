@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -10,14 +11,15 @@ import pytest
 
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.files import read_arrays, write_arrays
-from tactorch.findings import SHAPES, Status, build_finding
-from tactorch.inverse import Reconstruction, Settings
+from tactorch.inverse import Settings, Status
+from tactorch.inverse.result.text import describe
 from tactorch.inverse.shapes import KeptRims, ShapeReconstruction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording, append_press
+from tactorch.sampling.inclusions import SHAPES
 from tactorch.sampling.loop import STATE
 from tactorch.simulation import PressPlan, simulate
 
@@ -53,7 +55,6 @@ class Search:
         recording: Recording,
         settings: Settings,
         *,
-        max_shapes: int,
         start: ShapeReconstruction | None,
         stop: Stop,
         kept: KeptRims,
@@ -69,7 +70,7 @@ class Search:
 @pytest.fixture
 def search(monkeypatch: pytest.MonkeyPatch) -> Search:
     search = Search()
-    monkeypatch.setattr("tactorch.findings.search.find_shapes", search)
+    monkeypatch.setattr(import_module("tactorch.inverse.invert"), "find_shapes", search)
     return search
 
 
@@ -92,14 +93,14 @@ def test_shapes_are_fitted_once_to_all_presses_each_time_from_the_last_ones(
     assert search.calls[0][1] is None
     np.testing.assert_array_equal(search.calls[1][1].z, search.results[0].z)
     assert ended.update is not None
-    assert ended.update.finding.shapes is search.results[1]
-    assert ended.update.finding_presses == 3
+    assert ended.update.result.shapes is search.results[1]
+    assert ended.update.result_presses == 3
     (seen,) = live.view.findings
-    assert seen.finding.text() == ended.update.finding.text()
+    assert describe(seen.result) == describe(ended.update.result)
     entry = live.lines()[-1]
     assert entry == ended.history[-1]
     assert entry["searched"]
-    assert entry["finding"] == json.loads(json.dumps(ended.update.finding.plain()))
+    assert entry["finding"] == json.loads(json.dumps(ended.update.result.plain()))
     kept = json.loads((live.run / SHAPES).read_text())
     np.testing.assert_array_equal(ShapeReconstruction.of(kept).z, search.results[1].z)
 
@@ -114,7 +115,7 @@ def test_before_the_search_the_finding_is_that_of_fewer_presses_or_of_the_map(
     first, second = (entry for entry in live.lines() if entry["names"])
     assert first["finding_presses"] == 1
     seen = live.view.maps[0]
-    assert (seen.finding_presses, seen.finding.shapes is not None) == (1, True)
+    assert (seen.result_presses, seen.result.shapes is not None) == (1, True)
     # Then searched: the entry of an update is completed.
     assert (second["finding_presses"], second["searched"]) == (2, True)
 
@@ -132,13 +133,14 @@ def test_a_press_that_comes_stops_the_search_and_goes_first(live: Any, search: S
     ended = live.follow(shapes=True, max_iterations=30)
     assert [presses for presses, _ in search.calls] == [1, 2]
     assert search.calls[1][1] is None
-    assert [seen.finding_presses for seen in live.view.findings] == [2]
+    assert [seen.result_presses for seen in live.view.findings] == [2]
     first = live.lines()[0]
     assert (first["press"], first["searched"]) == (1, False)
     of_map = live.view.maps[0]
-    assert first["finding"] == build_finding(of_map.recording, of_map.youngs).plain()
+    assert first["finding"] == of_map.solution.result.plain()
+    assert of_map.result is of_map.solution.result
     assert ended.update is not None
-    assert ended.update.finding.shapes is search.results[0]
+    assert ended.update.result.shapes is search.results[0]
 
 
 def test_a_search_goes_on_from_what_a_stopped_one_reached(live: Any, search: Search) -> None:
@@ -156,7 +158,7 @@ def test_a_search_that_was_stopped_is_made_at_the_end_of_the_run(live: Any, sear
     ended = live.follow(shapes=True)
     assert [presses for presses, _ in search.calls] == [1, 1]
     assert ended.update is not None
-    assert ended.update.finding.shapes is search.results[0]
+    assert ended.update.result.shapes is search.results[0]
     append_press(live.path, live.whole.presses[1])
     assert not stops[0]()  # a press that comes after the end is not taken
     assert live.lines()[-1]["searched"]
@@ -217,25 +219,24 @@ def test_where_shapes_cannot_be_fitted_the_map_is_the_finding(
     ended = live.follow(shapes=True)
     assert len(search.calls) == 1
     assert ended.update is not None
-    finding, of_map = ended.update.finding, live.view.maps[-1]
-    assert finding.shapes is None
-    assert str(error) in finding.notes[0]
-    expected = build_finding(of_map.recording, of_map.youngs)
-    assert replace(finding, notes=()).plain() == expected.plain()
-    assert live.view.findings[0].finding is finding
+    result, of_map = ended.update.result, live.view.maps[-1]
+    assert result.shapes is None
+    assert str(error) in result.warnings[0]
+    assert replace(result, warnings=()).plain() == of_map.solution.result.plain()
+    assert live.view.findings[0].result is result
 
 
 def test_a_map_that_cannot_be_trusted_cannot_tell(
     live: Any, search: Search, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reasons = ("40% of the map is at a bound.",)
-    monkeypatch.setattr(Reconstruction, "warnings", property(lambda self: reasons))
+    monkeypatch.setattr("tactorch.inverse.result.build._reasons", lambda result: reasons)
     live.save(0)
     search.before = [fail(ConvergenceError("it collapses"))]
     ended = live.follow(shapes=True)
     assert ended.update is not None
-    assert ended.update.finding.status is Status.UNKNOWN
-    assert ended.update.finding.reasons == reasons
+    assert ended.update.result.status is Status.UNKNOWN
+    assert ended.update.result.reasons == reasons
     assert {entry["finding"]["status"] for entry in live.lines()} == {"cannot tell"}
 
 
@@ -245,23 +246,23 @@ def test_a_map_that_cannot_be_trusted_replaces_the_shapes_of_fewer_presses(
     live.save(0)
     live.follow(live.new_view(), shapes=True)
     reasons = ("40% of the map is at a bound.",)
-    monkeypatch.setattr(Reconstruction, "warnings", property(lambda self: reasons))
+    monkeypatch.setattr("tactorch.inverse.result.build._reasons", lambda result: reasons)
     live.save(0, 1)
     ended = live.follow(shapes=True)
-    assert live.view.maps[0].finding.reasons == reasons
+    assert live.view.maps[0].result.reasons == reasons
     assert ended.update is not None
-    assert ended.update.finding.shapes is search.results[1]
+    assert ended.update.result.shapes is search.results[1]
 
 
-def test_without_shapes_lumps_are_regions_of_the_map(live: Any, search: Search) -> None:
+def test_with_the_method_map_the_result_is_the_map(live: Any, search: Search) -> None:
     live.save(0, 1)
     ended = live.follow(shapes=False)
     assert not search.calls
     assert not live.view.findings
     assert ended.update is not None
-    assert ended.update.finding.shapes is None
-    assert ended.update.finding_presses == 2
-    assert ended.history[-1]["finding"] == ended.update.finding.plain()
+    assert ended.update.result.shapes is None
+    assert ended.update.result_presses == 2
+    assert ended.history[-1]["finding"] == ended.update.result.plain()
 
 
 def test_a_run_of_an_earlier_version_is_continued(live: Any, search: Search) -> None:
@@ -289,9 +290,9 @@ def test_the_ball_is_found_in_the_presses(live: Any) -> None:
     live.save(0, 1)
     ended = live.follow(shapes=True)
     assert ended.update is not None
-    finding = ended.update.finding
-    assert finding.shapes is not None
-    assert finding.probability == pytest.approx(1.0)
-    lump = finding.lumps[0]
+    result = ended.update.result
+    assert result.shapes is not None
+    assert result.probability == pytest.approx(1.0)
+    lump = result.lumps[0]
     assert lump.inclusion.side == "stiff"
     np.testing.assert_allclose(lump.inclusion.center_mm[:2], 5.0, atol=1.0)

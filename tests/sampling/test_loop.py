@@ -1,5 +1,6 @@
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -143,7 +144,8 @@ def test_no_shapes_are_fitted(
     run: Callable[..., list[Step]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     searches: list[object] = []
-    monkeypatch.setattr("tactorch.findings.search.find_shapes", lambda *a, **k: searches.append(a))
+    module = import_module("tactorch.inverse.invert")
+    monkeypatch.setattr(module, "find_shapes", lambda *a, **k: searches.append(a))
     assert len(run(UniformGrid(2), 2)) == 2
     assert not searches
 

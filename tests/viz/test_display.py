@@ -13,7 +13,6 @@ from tactorch import PressPlan, make_phantom, simulate
 from tactorch.display import Displayed
 from tactorch.errors import ConfigError
 from tactorch.fem.contact import Ball
-from tactorch.findings import Finding, build_finding
 from tactorch.inverse import Reconstruction, ShapeReconstruction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.posterior import ShapePosterior
@@ -59,11 +58,6 @@ def shapes(mesh: TetMesh) -> ShapeReconstruction:
 
 
 @pytest.fixture(scope="module")
-def finding(recording: Recording, result: Reconstruction) -> Finding:
-    return build_finding(recording, result.youngs)
-
-
-@pytest.fixture(scope="module")
 def probed(mesh: TetMesh) -> Recording:
     base = np.repeat(mesh.points[:, 2:] == 0.0, 3, axis=1)
     presses = [
@@ -76,7 +70,7 @@ def probed(mesh: TetMesh) -> Recording:
     return Recording(mesh, tuple(presses), MaterialSpec("neo_hookean", 0.45))
 
 
-OBJECTS = ("mesh", "phantom", "recording", "probed", "result", "shapes", "finding")
+OBJECTS = ("mesh", "phantom", "recording", "probed", "result", "shapes")
 
 
 @pytest.mark.parametrize("name", OBJECTS)

@@ -21,8 +21,9 @@ from tactorch.hdf5 import (
     write_json,
 )
 from tactorch.inverse.nuisance import NuisanceEstimate
+from tactorch.inverse.posterior import GaussianPosterior, normal_quantile
 from tactorch.inverse.result.lump import Lump
-from tactorch.inverse.result.regions import MapPosterior, build_lump, find_lumps
+from tactorch.inverse.result.regions import build_lump, find_lumps
 from tactorch.inverse.result.text import summarize
 from tactorch.inverse.shapes.result import ShapeReconstruction
 from tactorch.mesh import TetMesh, locate, write_mesh
@@ -189,7 +190,9 @@ class Reconstruction(Displayed):
             raise ConfigError(f"the point {np.round(first, 3).tolist()} mm is outside the object.")
         return elements
 
-    def with_posterior(self, recording: "Recording", posterior: MapPosterior) -> "Reconstruction":
+    def with_posterior(
+        self, recording: "Recording", posterior: GaussianPosterior
+    ) -> "Reconstruction":
         """Return an element map with the deviation of each element, and intervals of its lumps.
 
         Args:
@@ -272,7 +275,7 @@ class Reconstruction(Displayed):
         """Read from HDF5, also files of earlier versions, whose description is an element map."""
         with open_hdf5(path, "reconstruction", _REMEDY) as file:
             reader = Hdf5Reader(file, path, "reconstruction", "Reconstruction.save")
-            reader.check_format(_FORMAT, _VERSION, _REMEDY)
+            version = reader.check_format(_FORMAT, _VERSION, _REMEDY)
             points = reader.array("mesh/points", "f", (None, 3))
             tets = reader.array("mesh/tets", "i", (None, 4))
             has_regions = reader.has("mesh/regions")
@@ -281,10 +284,10 @@ class Reconstruction(Displayed):
                 mesh = TetMesh.create(points, tets, regions=regions)
             except MeshError as error:
                 raise reader.error(f"has no valid mesh: {error}") from error
-            result = _read_description(reader, mesh)
+            result = _read_description(reader, mesh, version)
             if reader.has("other"):
                 inner = Hdf5Reader(reader.group("other"), path, "reconstruction", "save")
-                result = replace(result, other=_read_description(inner, mesh))
+                result = replace(result, other=_read_description(inner, mesh, version))
             return result
 
     def write_vtu(self, path: str | Path, truth: _Field | None = None) -> Path:
@@ -308,7 +311,7 @@ class Reconstruction(Displayed):
 
 
 _FINDING = ("background_mpa", "probability", "reasons", "warnings")
-_HALF_WIDTH = 1.6448536269514722  # of the central 90 % interval of a normal distribution
+_HALF_WIDTH = normal_quantile(LEVEL)
 
 
 def volume_at_bounds(mesh: TetMesh, youngs: _Field, config: dict[str, Any]) -> float:
@@ -322,7 +325,7 @@ def volume_at_bounds(mesh: TetMesh, youngs: _Field, config: dict[str, Any]) -> f
     return float(volumes[(youngs < low) | (youngs > high)].sum() / volumes.sum())
 
 
-def _read_description(reader: Hdf5Reader, mesh: TetMesh) -> Reconstruction:
+def _read_description(reader: Hdf5Reader, mesh: TetMesh, version: int) -> Reconstruction:
     def optional(name: str, read: Callable[[], Any]) -> Any:
         return read() if reader.has(name) else None
 
@@ -344,10 +347,9 @@ def _read_description(reader: Hdf5Reader, mesh: TetMesh) -> Reconstruction:
         log_deviation=optional("log_deviation", lambda: reader.array("log_deviation", "f", shape)),
         shapes=optional("shapes", lambda: _shapes(reader)),
     )
-    finding = optional("finding", lambda: reader.json("finding"))
-    return (
-        _of_earlier_version(result) if finding is None else _with_finding(result, finding, reader)
-    )
+    if version == 1:
+        return _of_earlier_version(result)
+    return _with_finding(result, reader.json("finding"), reader)
 
 
 def _with_finding(

@@ -1,14 +1,13 @@
 """Lumps of an element map: connected parts of its segmentation (`tactorch.metrics.segment`)."""
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import ndtr, ndtri
 
 from tactorch.errors import ConfigError
-from tactorch.inverse.parameterization import Parameterization
+from tactorch.inverse.posterior import GaussianPosterior
 from tactorch.inverse.result.lump import TAIL, Confidence, Lump, measure_depth
 from tactorch.mesh import TetMesh
 from tactorch.metrics import Inclusion
@@ -25,21 +24,6 @@ from tactorch.recording import Press
 Field = Float[np.ndarray, " m"]
 Mask = Bool[np.ndarray, " m"]
 _MIN_RELATIVE_CONTRAST = 0.2  # log-contrast over that of the most conspicuous lump
-
-
-class MapPosterior(Protocol):
-    """A posterior of an element map, such as `tactorch.uncertainty.GaussianPosterior`."""
-
-    parameterization: Parameterization
-
-    def sample(self, rng: np.random.Generator, n: int) -> Float[np.ndarray, "n m"]:
-        """Draw parameters, one map per row."""
-
-    def deviation(self) -> Field:
-        """Return the standard deviation of each element's parameter."""
-
-    def interval(self, level: float) -> tuple[Field, Field]:
-        """Return the central interval of each element's modulus, MPa."""
 
 
 def find_lumps(
@@ -120,7 +104,7 @@ def build_lump(
     mesh: TetMesh,
     presses: Sequence[Press],
     lump: Inclusion,
-    posterior: MapPosterior | None = None,
+    posterior: GaussianPosterior | None = None,
 ) -> Lump:
     """Measure size, depth and confidence of an inclusion."""
     # The size is that of the ellipsoid with the second moments of the elements. Their bounding box
@@ -134,7 +118,7 @@ def build_lump(
 
 
 def compute_confidence(
-    mesh: TetMesh, lump: Inclusion, posterior: MapPosterior, *, draws: int = 400, seed: int = 0
+    mesh: TetMesh, lump: Inclusion, posterior: GaussianPosterior, *, draws: int = 400, seed: int = 0
 ) -> Confidence:
     """Estimate the confidence of a lump of the posterior's map from samples of the posterior."""
     rng = np.random.default_rng(seed)

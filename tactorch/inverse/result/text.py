@@ -201,7 +201,7 @@ def summarize_plain(values: Mapping[str, Any] | None, background_mpa: float) -> 
 
 def summarize_finding(values: Mapping[str, Any]) -> str:
     """Return a table cell for a result in plain values, as of `Reconstruction.plain`."""
-    if values["reasons"]:
+    if values["status"] == "cannot tell":
         return "cannot tell"
     first, *others = values["lumps"] or [None]
     more = f"; {len(others)} more" if others else ""

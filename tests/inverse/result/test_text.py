@@ -1,12 +1,13 @@
 """Text of findings for terminals, tables and pages."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tactorch.findings import Finding, build_finding
-from tactorch.findings.text import describe_finding, summarize_finding
+from tactorch.inverse import Reconstruction
+from tactorch.inverse.result.text import describe, describe_lump, summarize_finding
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.simulation import PressPlan, simulate
@@ -23,18 +24,19 @@ INTERVALS = {"equivalent_radius_90_mm": [1.91, 2.12], "mean_90_mpa": [0.74, 1.2]
 
 
 @pytest.fixture(scope="module")
-def finding() -> Finding:
+def finding(element_map: Callable[..., Reconstruction]) -> Reconstruction:
     recording = simulate(make_phantom("uniform_cube"), PressPlan(("z+",), (0.01,)), mesh=MESH)
     inside = np.linalg.norm(MESH.centroids - [5, 5, 7], axis=1) < 2.5
-    return build_finding(recording, np.where(inside, 1.0, 0.2))
+    return element_map(recording, np.where(inside, 1.0, 0.2))
 
 
-def test_a_finding_states_what_it_is_of(finding: Finding) -> None:
-    assert describe_finding(finding, 4, 4) == f"In the map:\n{finding.text()}"
-    older = describe_finding(finding, 2, 4)
-    assert older == f"Of the first 2 of 4 presses:\n{finding.text()}"
+def test_a_finding_states_what_it_is_of(finding: Reconstruction) -> None:
+    assert describe(finding) == f"In the element map:\n{describe_lump(finding.lumps[0])}"
+    assert describe(finding, 4, 4) == describe(finding)
+    assert describe(finding, 2, 4) == f"Of the first 2 of 4 presses:\n{describe(finding)}"
     unknown = replace(finding, lumps=(), reasons=("it is at a bound.",))
-    assert describe_finding(unknown, 4, 4) == unknown.text()
+    assert describe(unknown, 4, 4) == "Do not trust this result: it is at a bound."
+    assert describe(unknown) in unknown.summary()
 
 
 def plain(status: str, *lumps: dict[str, object]) -> dict[str, object]:
@@ -58,5 +60,5 @@ def test_a_finding_fits_a_cell(values: dict[str, object], text: str) -> None:
     assert summarize_finding(values) == text
 
 
-def test_the_plain_values_of_a_finding_fit_a_cell(finding: Finding) -> None:
+def test_the_plain_values_of_a_finding_fit_a_cell(finding: Reconstruction) -> None:
     assert summarize_finding(finding.plain()).startswith("stiff at (")

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactorch.findings.finding import measure_depth
+from tactorch.inverse.result.lump import measure_depth
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.recording import Press
 

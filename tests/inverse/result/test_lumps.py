@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError, MeshError
-from tactorch.findings import Status, build_finding, find_lumps
-from tactorch.findings.finding import measure_depth
+from tactorch.inverse import Status, find_lumps
+from tactorch.inverse.result.lump import measure_depth
+from tactorch.inverse.result.text import describe
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.metrics import dice, position_error_mm
 from tactorch.recording import MaterialSpec, Press, Recording
@@ -93,11 +94,11 @@ def test_specks_are_left_out():
     assert len(find_lumps(MESH, youngs, min_volume_fraction=0.0)) == 2
 
 
-def test_nothing_is_found_in_a_uniform_body():
+def test_nothing_is_found_in_a_uniform_body(element_map):
     assert find_lumps(MESH, np.full(MESH.n_tets, 0.2)) == []
-    finding = build_finding(recording(), np.full(MESH.n_tets, 0.2))
+    finding = element_map(recording(), np.full(MESH.n_tets, 0.2))
     assert finding.status is Status.NOTHING
-    assert finding.text().startswith("Nothing found: ")
+    assert describe(finding).startswith("Nothing found: ")
     assert finding.plain()["status"] == "nothing found"
 
 
@@ -171,10 +172,10 @@ def test_slanted_pushes_have_no_side():
     assert depth.center_mm == pytest.approx(3.0 * np.sqrt(2), abs=0.5)
 
 
-def test_the_text_says_where_how_large_and_how_stiff():
+def test_the_text_says_where_how_large_and_how_stiff(element_map):
     youngs, _ = ball((4, 5, 7), 2.2, 1.0)
-    finding = build_finding(recording(), youngs)
-    text = finding.text()
+    finding = element_map(recording(), youngs)
+    text = describe(finding)
     assert "A stiff lump at (" in text
     assert "below the pressed side z+" in text
     assert "5 times as stiff" in text
@@ -183,8 +184,8 @@ def test_the_text_says_where_how_large_and_how_stiff():
     assert lump.size_mm == pytest.approx(np.full(3, 4.4), abs=0.4)
 
 
-def test_the_size_is_that_along_each_axis():
+def test_the_size_is_that_along_each_axis(element_map):
     centred = (MESH.centroids - [5, 5, 5]) / [3.0, 2.0, 1.5]
     youngs = np.where((centred**2).sum(axis=1) < 1, 1.0, 0.2)
-    size = build_finding(recording(), youngs).lumps[0].size_mm
+    size = element_map(recording(), youngs).lumps[0].size_mm
     assert size == pytest.approx([6.0, 4.0, 3.0], abs=0.5)

@@ -1,0 +1,163 @@
+"""Results by inclusions: found, nothing found, cannot tell."""
+
+from dataclasses import replace
+
+import meshio
+import numpy as np
+import pytest
+
+from tactorch.fem.contact import Ball
+from tactorch.inverse import Reconstruction, Status
+from tactorch.inverse.result.text import describe, describe_lump
+from tactorch.inverse.shapes import ShapeReconstruction
+from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.inverse.shapes.fractions import Geometry
+from tactorch.inverse.shapes.posterior import ShapePosterior
+from tactorch.mesh import box_mesh, face_nodes
+from tactorch.phantoms import make_phantom
+from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Recording
+from tactorch.simulation import PressPlan, simulate
+
+MESH = box_mesh(10.0, 6, tets_per_cell=5)
+FIELD = ShapeField(ShapePrior.of(MESH, 0.2), (True,))
+VALUES = [np.log(0.2), 5.0, 5.0, 6.0, np.log(2.0), np.log(4.0), 0.3, 0.0, 0.0, 0.0, 0.0]
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return simulate(make_phantom("uniform_cube"), PressPlan(("z+",), (0.01,)), mesh=MESH)
+
+
+@pytest.fixture
+def shapes():
+    """An ellipsoid of 0.8 MPa in 0.2 MPa, its parameters known to 2 % of the prior."""
+    return reconstruct(VALUES)
+
+
+def reconstruct(values):
+    z = FIELD.standard(np.array(values))
+    posterior = ShapePosterior(FIELD, z, np.zeros(len(z)), 4e-4 * np.eye(len(z)))
+    return ShapeReconstruction(FIELD, z, posterior, 1.0, (50.0,), 50.0)
+
+
+def test_a_shape_becomes_a_lump_with_intervals(recording, shapes, inclusions):
+    finding = inclusions(recording, shapes)
+    (lump,) = finding.lumps
+    (shape,) = FIELD.shapes(shapes.z)
+    assert finding.status is Status.FOUND
+    assert lump.inclusion.mean_mpa == pytest.approx(0.8)
+    assert lump.inclusion.contrast == pytest.approx(4.0)
+    assert lump.inclusion.equivalent_radius_mm == pytest.approx(2.0)
+    assert lump.depth.center_mm == pytest.approx(4.0)
+    assert np.prod(lump.size_mm) == pytest.approx(np.prod(2.0 * np.array(shape.semi_axes_mm)))
+    low, high = lump.confidence.youngs_mpa
+    deviation = 0.02 * np.hypot(FIELD.prior.background, FIELD.prior.log_contrast)
+    assert np.log(high / low) == pytest.approx(2 * 1.645 * deviation, rel=0.1)
+    text = describe(finding)
+    assert "A stiff lump at (5.00, 5.00, 6.00) mm, 4.00 mm below the pressed side z+" in text
+    assert f"{low:.2g} to {high:.2g} MPa" in text
+    assert "more than 99.9 %" in text
+
+
+def test_a_long_shape_is_named_with_length_widths_and_direction(recording, inclusions):
+    axis = np.array([0.6, 0.8, 0.0])
+    stretch = np.log(1.0) * np.eye(3) + np.log(4.0) * np.outer(axis, axis)
+    _, log_radius, distortions = Geometry.of(np.array([5.0, 5.0, 6.0]), stretch)
+    long = reconstruct([*VALUES[:4], log_radius, np.log(4.0), *distortions])
+    (lump,) = inclusions(recording, long).lumps
+    assert lump.elongation is not None
+    assert lump.elongation.length_mm == pytest.approx(8.0)
+    assert lump.elongation.widths_mm == pytest.approx((2.0, 2.0))
+    assert lump.elongation.direction == pytest.approx(axis)
+    assert lump.plain()["direction"] == pytest.approx(axis.tolist())
+    assert "A long stiff lump at (5.00, 5.00, 6.00) mm" in describe_lump(lump)
+    assert "8 mm long along (0.60, 0.80, 0.00) and 2 x 2 mm across" in describe_lump(lump)
+    short = inclusions(recording, reconstruct(VALUES)).lumps[0]
+    assert short.elongation is None
+    assert "length_mm" not in short.plain()
+
+
+def test_smooth_errors_of_a_palpation_are_noted(recording, shapes, inclusions):
+    wrong = replace(shapes, force_deviation=0.15)
+    fixed = np.zeros((MESH.n_points, 3), dtype=bool)
+    fixed[face_nodes(MESH, "z-")] = True
+    pose = ProbePose(Ball(2.0), np.array([5.0, 5.0, 11.0]))
+    press = Press.by_probe(
+        pose, MESH.n_points, force=ForceReading.along((0.0, 0.0, 1.0), 0.1, 0.01), fixed=fixed
+    )
+    palpation = Recording(MESH, (press,), MaterialSpec("linear", 0.45))
+    text = describe(inclusions(palpation, wrong))
+    assert "The forces differ from the model by about 15%, smoothly over the surface" in text
+    assert "smoothly" not in describe(inclusions(recording, wrong))
+
+
+def test_soft_shapes_are_soft(recording, inclusions):
+    values = [*VALUES[:5], np.log(0.25), *VALUES[6:]]
+    finding = inclusions(recording, reconstruct(values))
+    assert finding.lumps[0].inclusion.side == "soft"
+    assert "4 times as soft" in describe(finding)
+
+
+def test_a_doubtful_shape_is_no_lump(recording, shapes, inclusions):
+    finding = inclusions(recording, replace(shapes, log_odds=(2.0,), log_odds_any=2.0))
+    assert finding.status is Status.NOTHING
+    assert finding.probability == pytest.approx(0.88, abs=0.01)
+    assert describe(finding).startswith("Nothing found: ")
+
+
+def test_presses_that_no_model_explains_cannot_tell(recording, shapes, inclusions):
+    finding = inclusions(recording, replace(shapes, unexplained=0.3))
+    assert finding.status is Status.UNKNOWN
+    assert finding.lumps == ()
+    assert "30% of the displacements unexplained" in describe(finding)
+
+
+def test_a_result_has_its_field_at_points_and_elements(recording, shapes, inclusions, tmp_path):
+    result = inclusions(recording, shapes)
+    inside, outside = np.array([[5.0, 5.0, 6.0]]), np.array([[1.0, 1.0, 1.0]])
+    np.testing.assert_allclose(result.youngs_at(np.vstack([inside, outside])), [0.8, 0.2])
+    low, high = result.intervals()
+    at = np.linalg.norm(MESH.centroids - inside, axis=1) < 0.5
+    assert (low[at] < 0.8).all()
+    assert (high[at] > 0.8).all()
+    assert result.youngs.max() == pytest.approx(0.8)
+    again = Reconstruction.load(result.save(tmp_path / "result.h5"))
+    assert again.plain() == result.plain()
+    assert describe(again) == describe(result)
+    np.testing.assert_allclose(again.youngs_at(inside), 0.8)
+    (lump,), (kept,) = result.lumps, again.lumps
+    np.testing.assert_array_equal(kept.inclusion.elements, lump.inclusion.elements)
+    np.testing.assert_array_equal(kept.depth.above_mm, lump.depth.above_mm)
+
+
+def test_both_descriptions_are_kept_in_one_file(
+    recording, shapes, inclusions, element_map, tmp_path
+):
+    elements = element_map(recording, np.full(MESH.n_tets, 0.3))
+    result = replace(inclusions(recording, shapes), other=elements)
+    again = Reconstruction.load(result.save(tmp_path / "both.h5"))
+    assert (again.name, again.other.name) == ("inclusions", "element map")
+    assert again.element_map is again.other
+    np.testing.assert_array_equal(again.other.youngs, elements.youngs)
+    fields = meshio.read(result.write_vtu(tmp_path / "both.vtu")).cell_data
+    np.testing.assert_allclose(fields["youngs_mpa"][0], result.youngs)
+    np.testing.assert_allclose(fields["youngs_element_map_mpa"][0], 0.3)
+    assert fields["youngs_90_high_mpa"][0].max() > 0.8
+    assert fields["trusted"][0].min() == 1.0
+
+
+def test_a_shape_between_elements_has_the_nearest_one(recording, inclusions):
+    values = [*VALUES[:4], np.log(0.05), *VALUES[5:]]
+    finding = inclusions(recording, reconstruct(values))
+    assert finding.lumps[0].inclusion.elements.sum() == 1
+
+
+def test_errors_of_the_recording_are_noted(recording, shapes, inclusions):
+    assert inclusions(recording, replace(shapes, pose_deviation=0.002)).warnings == ()
+    wrong = replace(shapes, force_deviation=0.05, pose_deviation=0.01)
+    finding = inclusions(recording, wrong)
+    assert finding.status is Status.FOUND
+    assert "forces of the presses are wrong by about 5%" in finding.warnings[0]
+    assert "by about 1% of the displacements" in finding.warnings[1]
+    assert describe(finding).endswith(finding.warnings[1])
+    assert finding.plain()["warnings"] == list(finding.warnings)
