@@ -33,7 +33,7 @@ def summary_of(folder: str) -> dict[str, Any]:
 def test_every_file_shows_the_same_result(tactorch: Any, recording: Path) -> None:
     import meshio
 
-    done = tactorch("invert", f"recording={recording}", "run_dir=run")
+    done = tactorch("invert", f"recording={recording}", "run_dir=run", "method=inclusions")
     assert done.status == 0, done.err
     result, summary = load_run("run").result, summary_of("run")
     assert result.shapes is not None
