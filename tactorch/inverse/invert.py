@@ -4,7 +4,6 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -14,12 +13,13 @@ import numpy as np
 from tactorch.config import to_mapping
 from tactorch.errors import CancelledError, ConfigError, TactorchError
 from tactorch.fem import SoftBody
+from tactorch.inverse.criticism import wrong_forces
 from tactorch.inverse.data import ModelError, NoiseModel
 from tactorch.inverse.fields import ElementField
 from tactorch.inverse.held_out import held_out_score
 from tactorch.inverse.misfit import MISFITS, Adaptive, Squares
 from tactorch.inverse.model_error import discretisation_error, resolve_model_error
-from tactorch.inverse.monitor import Monitor, progress_text
+from tactorch.inverse.monitor import Monitor, StopReason, progress_text
 from tactorch.inverse.objective import Objective, Point
 from tactorch.inverse.optimizers.base import OPTIMIZERS
 from tactorch.inverse.optimizers.gauss_newton import GaussNewton
@@ -95,10 +95,14 @@ def invert(
         FileError: the checkpoint to resume cannot be read.
     """
     settings = settings or Settings()
-    element_map = partial(
-        invert_map, recording, settings, start_mpa=start_mpa, checkpoint=checkpoint,
-        resume=resume, show_progress=show_progress, on_iteration=on_iteration,
-    )  # fmt: skip
+
+    def element_map() -> Reconstruction:
+        result = invert_map(
+            recording, settings, start_mpa=start_mpa, checkpoint=checkpoint, resume=resume,
+            show_progress=show_progress, on_iteration=on_iteration,
+        )  # fmt: skip
+        return _criticised(result, recording, settings)
+
     if settings.method == "map":
         return element_map()
     try:
@@ -129,6 +133,26 @@ def _find(recording: Recording, settings: Settings, search: Mapping[str, Any]) -
     shapes = find_shapes(recording, settings, **search)
     config = config_of(recording, settings)
     return of_inclusions(recording, shapes, config, time.perf_counter() - began)
+
+
+def _criticised(result: Reconstruction, recording: Recording, settings: Settings) -> Reconstruction:
+    """Return an element map, without lumps where it explains wrong forces as structure."""
+    if result.reasons or result.stop_reason == StopReason.INTERRUPTED or is_palpation(recording):
+        return result
+    try:
+        point = solution(recording, result, settings)
+        level = wrong_forces(point, result.history[-1].get("weight", 0.0))
+    except (TactorchError, MemoryError, RuntimeError) as error:
+        _log.info("whether the forces are wrong is not known: %s", error)
+        return result
+    if level is None:
+        return result
+    reason = (
+        f"its structure is better explained by forces that are wrong by about {level:.0%}, which "
+        "an element map takes for exact. Use method=inclusions, which allows for it, or check the "
+        "calibration of the force sensor."
+    )
+    return replace(result, lumps=(), reasons=(reason,))
 
 
 def is_explained(result: Reconstruction) -> bool:

@@ -100,8 +100,8 @@ def _fits(run: Run, recording: Recording) -> list[PressFit]:
     predicted = _of_length(run.result.predicted, count)
     residuals = _of_length(run.result.residuals, count)
     fits, begin = [], 0
-    deviations = run.noise.deviations(recording)
-    for i, (press, deviation) in enumerate(zip(recording.presses, deviations, strict=True)):
+    noise = run.noise.deviations(recording)
+    for i, (press, deviation) in enumerate(zip(recording.presses, noise, strict=True)):
         observation = Observation.of(press, deviation)
         rows = slice(begin, begin + len(observation.values))
         begin, index = rows.stop, observation.index

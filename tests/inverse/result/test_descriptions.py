@@ -130,6 +130,24 @@ def test_the_description_that_predicts_held_out_presses_better_is_shown(
         assert "30% of the displacements unexplained" in result.reasons[0]
 
 
+@pytest.mark.parametrize("error", [0.0, 0.1])
+def test_an_element_map_of_wrong_forces_is_not_trusted(error: float) -> None:
+    """Forces of one side too large, and of another too small, look like structure."""
+    plan = PressPlan(("z+", "x+", "y+"), (0.02,))
+    phantom, mesh = make_phantom("cube_sphere", radius=0.3), box_mesh(10.0, 6, tets_per_cell=5)
+    right = simulate(phantom, plan, mesh=mesh, snr_db=40)
+    factors = (1.0 + error, 1.0 - error, 1.0)
+    presses = zip(right.presses, factors, strict=True)
+    wrong = replace(right, presses=tuple(replace(p, forces=k * p.forces) for p, k in presses))
+    result = invert(wrong, Settings(method="map"), show_progress=False)
+    if error == 0.0:
+        assert result.status is Status.FOUND
+    else:
+        assert result.status is Status.UNKNOWN
+        assert not result.lumps
+        assert "forces that are wrong by about" in result.reasons[0]
+
+
 def test_held_out_presses_are_predicted_as_by_leaving_them_out() -> None:
     """A linear model with a normal prior and correlated errors, fitted without each contact."""
     rng = np.random.default_rng(0)
