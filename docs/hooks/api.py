@@ -50,7 +50,6 @@ PAGES = {
             "tactorch.sensor.markers",
             "tactorch.sensor.marker_match",
             "tactorch.sensor.depth",
-            "tactorch.sensor.photometric",
             "tactorch.sensor.gel",
             "tactorch.sensor.force",
             "tactorch.sensor.refined_gel",
