@@ -13,7 +13,7 @@ from tactorch.mesh import TetMesh, refine
 from tactorch.mesh.geometry import signed_volumes
 from tactorch.mesh.refine import Sizing
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.gel import GelMesh
+from tactorch.sensor.gel.model import GelMesh
 
 _GROWTH = 0.7  # of the edge length with the distance from the edge of the contact
 # Step of differences of the distance, and distance of points on the edge, over the edge length.

@@ -2,7 +2,7 @@
 
 The gel's elasticity is known, so at equilibrium its deformation determines the forces on its face.
 This amplifies noise of the displacements. `GelModel.smooth_forces` therefore finds the smooth
-forces that explain the displacements, see `tactorch.sensor.tractions`.
+forces that explain the displacements, see `tactorch.sensor.gel.tractions`.
 """
 
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ from tactorch.fem.newton import EquilibriumResult
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.mesh.values import Real, positive
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.tractions import fit_smooth_forces, traction_basis
+from tactorch.sensor.gel.tractions import fit_smooth_forces, traction_basis
 
 _MAX_CELLS = 200_000
 _NEWTON_RTOL = 1e-8
