@@ -217,12 +217,16 @@ class Options:
         return cls(**{name: settings[name].check(v, section) for name, v in values.items()})
 
 
-@cache
-def settings_of(options: Any) -> tuple[Setting, ...]:
+def settings_of(options: type) -> tuple[Setting, ...]:
     """Return the settings of an `Options` class, in their order.
 
     Fields that are not declared by `option` are not settings.
     """
+    return _settings(options)
+
+
+@cache
+def _settings(options: Any) -> tuple[Setting, ...]:  # for mypy, a class is not hashable
     hints, settings = get_type_hints(options), []
     for f in fields(options):
         if _KEY in f.metadata:
