@@ -4,8 +4,11 @@ Units are mm, N, MPa and tonne/mm^3 everywhere. The names below are the ones tha
 they load on first use, so that `import tactorch` is fast.
 """
 
+from collections.abc import Callable
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+from tactorch.display import VIEWS
 
 if TYPE_CHECKING:
     from tactorch.fem import SoftBody, Supports, make_material
@@ -69,3 +72,15 @@ def __getattr__(name: str) -> Any:
 def __dir__() -> list[str]:
     """List the public names."""
     return sorted(__all__)
+
+
+def _later(home: str, name: str) -> Callable[..., Any]:
+    """Return a function whose module is imported when it is called."""
+    return lambda *given, **options: getattr(import_module(home), name)(*given, **options)
+
+
+_VIEWS = {
+    "tactorch.viz.figures": ("make_figure", "make_html"),
+    "tactorch.viz.solid": ("to_pyvista", "show"),
+}
+VIEWS.update({name: _later(home, name) for home, names in _VIEWS.items() for name in names})

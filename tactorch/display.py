@@ -1,13 +1,17 @@
 """Text and pictures of an object, in notebooks and scripts."""
 
 from abc import ABC, abstractmethod
-from importlib import import_module
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import pyvista
     from matplotlib.figure import Figure
+
+#: Functions that draw an object: `make_figure`, `make_html`, `to_pyvista` and `show`. The package
+#: registers those of `tactorch.viz`, which imports the objects that it draws.
+VIEWS: dict[str, Callable[..., Any]] = {}
 
 
 class Displayed(ABC):
@@ -22,7 +26,7 @@ class Displayed(ABC):
 
     def plot(self, **options: Any) -> "Figure":
         """Return a figure. `tactorch.viz.figures` lists figures and options for each type."""
-        figure: Figure = _figures().make_figure(self, **options)
+        figure: Figure = VIEWS["make_figure"](self, **options)
         return figure
 
     def to_pyvista(self) -> "pyvista.DataObject":
@@ -31,7 +35,7 @@ class Displayed(ABC):
         Raises:
             ConfigError: PyVista is not installed.
         """
-        return _solid().to_pyvista(self)
+        return VIEWS["to_pyvista"](self)
 
     def show(self, *, screenshot: str | Path | None = None, **options: Any) -> None:
         """Show the object in three dimensions with PyVista.
@@ -43,7 +47,7 @@ class Displayed(ABC):
         Raises:
             ConfigError: PyVista is not installed, or there is no window system, notebook or file.
         """
-        _solid().show(self, screenshot, **options)
+        VIEWS["show"](self, screenshot, **options)
 
     def __repr__(self) -> str:
         lines = self.summary().splitlines()
@@ -51,14 +55,5 @@ class Displayed(ABC):
 
     def _repr_html_(self) -> str:
         """Return the summary and the figure for a notebook."""
-        text: str = _figures().make_html(self)
+        text: str = VIEWS["make_html"](self)
         return text
-
-
-# Pictures are above the objects that they show, and imported where one is drawn.
-def _figures() -> Any:
-    return import_module("tactorch.viz.figures")
-
-
-def _solid() -> Any:
-    return import_module("tactorch.viz.solid")

@@ -1,6 +1,5 @@
 """One function that loads any file or folder of tactorch, and meshes."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +8,6 @@ from tactorch.files import read_json
 from tactorch.hdf5 import open_hdf5
 
 __all__ = ["load"]
-_HDF5 = (".h5", ".hdf5")
-_MESHES = (".msh", ".vtu", ".inp")
-_SURFACES = (".stl", ".obj", ".ply")
 _READABLE = (
     "recordings and reconstructions (.h5), shapes (.json), meshes (.msh, .vtu, .inp), sensors"
     " (.yaml), calibrations (.npz), and folders of datasets and runs"
@@ -42,15 +38,28 @@ def load(path: str | Path) -> Any:
     source = Path(path)
     if source.is_dir():
         return _folder(source)
-    suffix = source.suffix.lower()
-    if suffix in _SURFACES:
-        raise FileError(
-            f"'{path}' is a surface; `tactorch mesh {path}` makes a mesh of its inside."
-        )
-    for suffixes, loader in _LOADERS:
-        if suffix in suffixes:
-            return loader(source)
-    raise FileError(f"'{path}' cannot be loaded: tactorch loads {_READABLE}.")
+    match source.suffix.lower():
+        case ".h5" | ".hdf5":
+            return _hdf5(source)
+        case ".json":
+            return _shapes(source)
+        case ".msh" | ".vtu" | ".inp":
+            from tactorch.mesh import read_mesh
+
+            return read_mesh(source)
+        case ".yaml" | ".yml":
+            from tactorch.sensor.description import load_sensor
+
+            return load_sensor(source)
+        case ".npz":
+            from tactorch.sensor.calibration import load_calibration
+
+            return load_calibration(source)
+        case ".stl" | ".obj" | ".ply":
+            problem = f"is a surface; `tactorch mesh {path}` makes a mesh of its inside."
+        case _:
+            problem = f"cannot be loaded: tactorch loads {_READABLE}."
+    raise FileError(f"'{path}' {problem}")
 
 
 def _folder(folder: Path) -> Any:
@@ -89,30 +98,3 @@ def _shapes(path: Path) -> Any:
             f"'{path}' has no shapes of `tactorch invert` or `tactorch find` ({error!r}); give"
             " shapes.json of a run."
         ) from error
-
-
-def _mesh(path: Path) -> Any:
-    from tactorch.mesh import read_mesh
-
-    return read_mesh(path)
-
-
-def _sensor(path: Path) -> Any:
-    from tactorch.sensor.description import load_sensor
-
-    return load_sensor(path)
-
-
-def _calibration(path: Path) -> Any:
-    from tactorch.sensor.calibration import load_calibration
-
-    return load_calibration(path)
-
-
-_LOADERS: tuple[tuple[tuple[str, ...], Callable[[Path], Any]], ...] = (
-    (_HDF5, _hdf5),
-    ((".json",), _shapes),
-    (_MESHES, _mesh),
-    ((".yaml", ".yml"), _sensor),
-    ((".npz",), _calibration),
-)

@@ -56,8 +56,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         app = _dispatch(list(sys.argv[1:] if arguments is None else arguments))
         if app is not None:
-            with app.hydra_main() as hydra_main:
-                hydra_main()
+            app.run()
         sys.stdout.flush()
     except BrokenPipeError:  # as in `tactorch invert --help | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

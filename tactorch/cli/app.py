@@ -69,12 +69,11 @@ class App:
         self._place: Path | None = None
         self._outputs: set[Path] = set()
 
-    @contextmanager
-    def hydra_main(self) -> Iterator[Callable[[], Any]]:
-        """Give the function that lets Hydra compose the settings and call `job`.
+    def run(self) -> None:
+        """Let Hydra compose the settings and call `job`; ends the process on errors.
 
         Meanwhile the process has the command line that Hydra reads, and Hydra raises errors instead
-        of printing them. The process ends with a status other than 0 on errors.
+        of printing them.
         """
         import hydra
 
@@ -84,12 +83,9 @@ class App:
         sys.argv = [f"tactorch {self.command}", *self._arguments]
         os.environ[_DEBUG] = "1"
         try:
-            path, name = (
-                f"pkg://{SEARCH_PACKAGE}",
-                store_config(self._schema, sorted(self._unnamed)),
-            )
+            path, name = f"pkg://{SEARCH_PACKAGE}", store_config(self._schema, self._unnamed)
             register_names()
-            yield hydra.main(version_base="1.3", config_path=path, config_name=name)(self.job)
+            hydra.main(version_base="1.3", config_path=path, config_name=name)(self.job)()
             summarize(self._jobs)
         except KeyboardInterrupt:
             message = f"tactorch {self.command}: interrupted"

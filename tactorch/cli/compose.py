@@ -1,6 +1,6 @@
 """Composition of a command's settings by Hydra, from the typed defaults and the presets."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from tactorch.cli.overrides import check_overrides
@@ -29,7 +29,7 @@ _HYDRA: Mapping[str, Any] = {
 }
 
 
-def store_config(schema: Schema, unnamed: Sequence[str] = ()) -> str:
+def store_config(schema: Schema, unnamed: Collection[str] = ()) -> str:
     """Register the settings of a command in Hydra's store, and return the config's name.
 
     Folders of the jobs of a sweep are not named by the settings `unnamed`.
@@ -51,7 +51,7 @@ def store_config(schema: Schema, unnamed: Sequence[str] = ()) -> str:
         node = {"defaults": overrides, **described["values"]}
         store.store(experiment, node, EXPERIMENT, package="_global_", provider="tactorch")
     chosen = [{group: option} for group, option in schema.defaults.items()]
-    named = {"override_dirname": {"exclude_keys": list(unnamed)}}
+    named = {"override_dirname": {"exclude_keys": sorted(unnamed)}}
     job = {"name": name, "chdir": False, "config": named}
     node = {"defaults": ["_self_", *chosen], **_tree(schema.settings)}
     node["hydra"] = {**_HYDRA, "job": job, "help": {"app_name": f"tactorch {schema.command}"}}

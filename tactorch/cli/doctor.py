@@ -14,7 +14,6 @@ from contextlib import AbstractContextManager, nullcontext, redirect_stdout, sup
 from dataclasses import asdict, dataclass
 from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, requires, version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,8 +36,6 @@ status is 0 where the core works (simulate, invert, evaluate), and 1 where it do
 _MARKS = {True: "yes", False: "NO", None: "-"}
 _GIB = 2.0**30
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-#: Browsers that tests of HTML pages can drive.
-_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 _EQUATIONS = 300
 # Uniaxial press of a Neo-Hookean block, E = 1, Poisson's ratio 0.3, nominal traction -0.2: exact.
 _STRETCH = 0.828310984658
@@ -366,16 +363,6 @@ def _writable(folder: Path) -> str:
     return f"{folder} ({shutil.disk_usage(folder).free / 1e9:.0f} GB free)"
 
 
-def _shared_data() -> str:
-    """Return the folder of published data: `$TACTORCH_SHARED`, or `shared` next to the project."""
-    chosen = os.environ.get("TACTORCH_SHARED")
-    place = Path(chosen) if chosen else Path(__file__).resolve().parents[3] / "shared"
-    if (place / "data").is_dir():
-        return str(place)
-    # A folder is required only if the variable names it.
-    raise (ConfigError if chosen else AbsentError)(f"none: '{place / 'data'}' is not a folder")
-
-
 def _mesh() -> str:
     from tactorch.mesh import box_mesh, tetrahedralize
 
@@ -406,17 +393,6 @@ def _video() -> str:
     return f"{suffix} written and read"
 
 
-def _browser() -> str:
-    """Find a browser and playwright; only tests of the project need them."""
-    place = next(filter(None, map(shutil.which, _BROWSERS)), None)
-    missing = [] if place else ["no Chromium or Chrome in PATH"]
-    if find_spec("playwright") is None:
-        missing.append("playwright is not installed (pip install playwright)")
-    if missing:
-        raise AbsentError("; ".join(missing))
-    return f"{place}, driven by playwright"
-
-
 #: Package of each solver, in the order in which solver=auto takes them.
 _SOLVERS = {"pardiso": "pypardiso", "superlu": "scipy", "multigrid": "pyamg", "torch_cg": "torch"}
 _FACTS = {"system": _system, "cores": _cores, "threads": _threads, "memory": _memory}
@@ -445,11 +421,7 @@ CHECKS = (
     Check("files", "cache of numba", _numba_cache,
           "quick starts: kernels are compiled each time",
           "set NUMBA_CACHE_DIR to a folder that can be written"),
-    Check("files", "shared data", _shared_data,
-          "what is computed from published data (make external)",
-          "set TACTORCH_SHARED to the folder that holds data/"),
     Check("tools", "mesher", _mesh, _PACKAGES["pytetwild"][1], f"{_REINSTALL} pytetwild"),
     Check("tools", "videos", _video, "tactorch sensor: videos",
           f"{_REINSTALL} opencv-python-headless"),
-    Check("tools", "headless browser", _browser, "the project's tests of HTML pages"),
 )  # fmt: skip

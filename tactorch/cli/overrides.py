@@ -45,15 +45,11 @@ def named(command: str, words: Sequence[str]) -> list[str]:
 
 def expanded(command: str, words: Sequence[str]) -> list[str]:
     """Return settings in which presser=MODULE:CLASS is written as the choice of a driver."""
-    if command != "live":
-        return list(words)
     found: list[str] = []
     for word in words:
         key, _, value = word.partition("=")
-        if key == "presser" and ":" in value:
-            found += ["presser=driver", f"presser.path='{value}'"]
-        else:
-            found.append(word)
+        is_path = command == "live" and key == "presser" and ":" in value
+        found += ["presser=driver", f"presser.path='{value}'"] if is_path else [word]
     return found
 
 
@@ -62,19 +58,18 @@ def check_overrides(
 ) -> list[str]:
     """Return settings as Hydra takes them; Hydra's own settings only if they are trusted."""
     overrides = [_parse(word, schema) for word in words]
-    chosen = {o.key_or_group: _values(o) for o in overrides if o.key_or_group in schema.defaults}
-    for group, options in chosen.items():
+    groups = [o for o in overrides if o.key_or_group in schema.defaults]
+    chosen = [(o.key_or_group, option) for o in groups for option in _values(o)]
+    for group, option in chosen:
         known = schema.options(group)
-        for option in options:
-            if option not in known and not (group == EXPERIMENT and option in (None, "null")):
-                raise ConfigError(unknown_choice(group, str(option), sorted(known)))
+        if option not in known and not (group == EXPERIMENT and option in (None, "null")):
+            raise ConfigError(unknown_choice(group, str(option), sorted(known)))
     # The settings of all options that are chosen; a sweep chooses several.
-    first = {group: str(options[0]) for group, options in chosen.items() if options}
-    choices = schema.resolve(first)
+    picked = {group: str(option) for group, option in chosen}
+    choices = schema.resolve(picked)
     entries = schema.entries(choices)
-    for group, options in chosen.items():
-        for option in options[1:]:
-            entries |= schema.entries(schema.resolve({**first, group: str(option)}))
+    for group, option in chosen:
+        entries |= schema.entries(schema.resolve({**picked, group: str(option)}))
     return [
         word
         if trusted and key_of(word).startswith(("hydra.", "hydra/"))

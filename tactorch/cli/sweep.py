@@ -4,6 +4,7 @@ import csv
 import io
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -48,13 +49,10 @@ class Job:
 
     def summary(self) -> dict[str, Any]:
         """Return the content of `summary.json`; empty where there is none."""
-        path = self.folder / "summary.json"
-        if self.failed or not path.is_file():
-            return {}
-        try:
-            return read_json(path, "summary", "run the job again.")
-        except FileError:
-            return {}
+        with suppress(FileError):
+            if not self.failed:
+                return read_json(self.folder / "summary.json", "summary", "run the job again.")
+        return {}
 
 
 def register_names() -> None:

@@ -38,14 +38,7 @@ def option(
     help: str = "",
     *,
     factory: Callable[[], Any] | None = None,
-    unit: str = "",
-    gt: float | None = None,
-    ge: float | None = None,
-    lt: float | None = None,
-    le: float | None = None,
-    section: str = "",
-    preset: str = "",
-    nonempty: bool = False,
+    **attributes: Any,
 ) -> Any:
     """Declare a setting as a field of an `Options` dataclass.
 
@@ -53,20 +46,12 @@ def option(
         default: Default value; without one (and without `factory`) the setting is required.
         help: Description, a phrase without a full stop.
         factory: Function that makes the default, for mutable and nested values.
-        unit: Physical unit, such as "mm".
-        gt: Exclusive lower limit of all numbers in the value.
-        ge: Inclusive lower limit.
-        lt: Exclusive upper limit.
-        le: Inclusive upper limit.
-        section: Registry that the value is chosen from by name.
-        preset: Name of the preset in `conf/` that holds the defaults, for nested settings that the
-            command line offers as a group of presets.
-        nonempty: Whether a list needs at least one item.
+        attributes: Others of `Setting`: its unit, its limits, and where its values come from.
 
     Returns:
         A dataclass field.
     """
-    metadata = {_KEY: Setting(help, unit, gt, ge, lt, le, section, preset, nonempty, default)}
+    metadata = {_KEY: Setting(help, **attributes)}
     if factory is not None:
         return field(default_factory=factory, metadata=metadata)
     return field(default=default, metadata=metadata)
@@ -77,25 +62,33 @@ class Setting:
     """A setting as messages, help, completion and documentation show it.
 
     Attributes:
+        help: Description, a phrase without a full stop.
+        unit: Physical unit, such as "mm".
+        gt: Exclusive lower limit of all numbers in the value.
+        ge: Inclusive lower limit.
+        lt: Exclusive upper limit.
+        le: Inclusive upper limit.
+        section: Registry that the value is chosen from by name.
+        preset: Name of the preset in `conf/` that holds the defaults, for nested settings that the
+            command line offers as a group of presets.
+        nonempty: Whether a list needs at least one item.
         name: Name of the field.
         annotation: Type.
         default: Default value; `dataclasses.MISSING` where the setting is required.
-
-    The other attributes are the arguments of `option`.
     """
 
     help: str
-    unit: str
-    gt: float | None
-    ge: float | None
-    lt: float | None
-    le: float | None
-    section: str
-    preset: str
-    nonempty: bool
-    default: Any
+    unit: str = ""
+    gt: float | None = None
+    ge: float | None = None
+    lt: float | None = None
+    le: float | None = None
+    section: str = ""
+    preset: str = ""
+    nonempty: bool = False
     name: str = ""
     annotation: Any = None
+    default: Any = None
 
     @property
     def required(self) -> bool:
@@ -215,11 +208,9 @@ class Options:
         prefix = f"{section}." if section else ""
         for name in values:
             if name not in settings:
-                known, chosen = (
-                    [f"{prefix}{s}" for s in settings],
-                    chosen or section or "this group",
-                )
-                raise ConfigError(unknown_setting(f"{prefix}{name}", known, prefix, chosen))
+                known = [f"{prefix}{s}" for s in settings]
+                kind = chosen or section or "this group"
+                raise ConfigError(unknown_setting(f"{prefix}{name}", known, prefix, kind))
         for setting in settings.values():
             if setting.required and setting.name not in values:
                 raise ConfigError(missing_setting(f"{prefix}{setting.name}", setting.expectation))
@@ -235,7 +226,7 @@ def settings_of(options: type) -> tuple[Setting, ...]:
 
 
 @cache
-def _settings(options: Any) -> tuple[Setting, ...]:
+def _settings(options: Any) -> tuple[Setting, ...]:  # for mypy, a class is not hashable
     hints, settings = get_type_hints(options), []
     for f in fields(options):
         if _KEY in f.metadata:

@@ -13,9 +13,12 @@ def press_files(path: Path, suffixes: Sequence[str], kind: str) -> list[Path]:
     `kind` names them in messages.
 
     Raises:
-        FileError: The folder has no such file.
+        FileError: The folder has no such file, or the file has another suffix.
     """
     if not path.is_dir():
+        if path.suffix.lower() not in suffixes:
+            known = ", ".join(suffixes)
+            raise FileError(f"'{path}' has the unknown suffix '{path.suffix}'; use one of {known}.")
         return [path]
     files = sorted((f for f in path.iterdir() if f.suffix.lower() in suffixes), key=natural_key)
     if not files:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from tactorch.errors import FileError
-from tactorch.importers.tables import read_table
+from tactorch.importers.sheets import read_sheet
 
 _log = logging.getLogger(__name__)
 _POSITION = ("x_mm", "y_mm", "z_mm")
@@ -92,14 +92,21 @@ def read_samples(path: Path, radius_mm: float | None, *, check_units: bool) -> S
     Raises:
         FileError: the file cannot be used.
     """
-    table = read_table(path, "palpation", ("probe", *_POSITION, *_FORCE), (*_CONTACT, *_NORMAL))
+    sheet, required = read_sheet(path, "palpation"), ("probe", *_POSITION, *_FORCE)
+    missing = [name for name in required if name not in sheet.columns]
+    if missing:
+        raise FileError(
+            f"'{path}' lacks the column {missing[0]!r}; its columns are "
+            f"{', '.join(sheet.columns)}. A palpation needs {', '.join(required)}."
+        )
 
-    def columns(names: tuple[str, ...]) -> Float[np.ndarray, "s 3"]:
-        return np.column_stack([table[name] for name in names])
+    def columns(*names: str) -> Float[np.ndarray, "s k"]:
+        return np.column_stack([sheet.numbers(name, finite=False) for name in names])
 
-    surface = (columns(_CONTACT), columns(_NORMAL)) if _CONTACT[0] in table else None
+    has_surface = {*_CONTACT, *_NORMAL} <= set(sheet.columns)
     return make_samples(
-        path, table["probe"], columns(_POSITION), columns(_FORCE), radius_mm, surface=surface,
+        path, columns("probe")[:, 0], columns(*_POSITION), columns(*_FORCE), radius_mm,
+        surface=(columns(*_CONTACT), columns(*_NORMAL)) if has_surface else None,
         check_units=check_units,
     )  # fmt: skip
 

@@ -31,14 +31,14 @@ class Sheet:
     columns: dict[str, Sequence[Any]]
     lines: Sequence[str]
 
-    def numbers(self, name: str) -> Float[np.ndarray, " rows"]:
+    def numbers(self, name: str, *, finite: bool = True) -> Float[np.ndarray, " rows"]:
         """Return a column of numbers, NaN where a cell is empty.
 
         Raises:
-            FileError: A cell is not a finite number.
+            FileError: A cell is not a number, or it is infinite and `finite` is required.
         """
         values = np.array([self._number(name, i) for i in range(len(self.lines))])
-        if np.isinf(values).any():
+        if finite and np.isinf(values).any():
             self._refuse(name, int(np.isinf(values).argmax()))
         return values
 
@@ -63,24 +63,19 @@ class Sheet:
         )
 
 
-def read_sheet(path: str | Path) -> Sheet:
+def read_sheet(path: str | Path, what: str = "table of presses") -> Sheet:
     """Read a table with a line of names: text with commas, semicolons or tabs, or Parquet.
 
-    Lines that are empty or start with # are ignored.
+    Lines that are empty or start with # are ignored. Messages name the expected content `what`.
 
     Raises:
         ConfigError: pyarrow, which reads Parquet, is not installed.
         FileError: The file is missing, damaged or empty, has no rows, or names a column twice.
     """
-    source = require_file(path, "table of presses")
-    if source.suffix.lower() not in SUFFIXES:
-        raise FileError(
-            f"'{source}' has the unknown suffix '{source.suffix}'; use one of "
-            f"{', '.join(SUFFIXES)}."
-        )
+    source = require_file(path, what)
     sheet = _parquet(source) if source.suffix.lower() == ".parquet" else _text(source)
     if not len(sheet.lines):
-        raise FileError(f"'{source}' has no rows; a row is a point of a press.")
+        raise FileError(f"'{source}' has no rows; a {what} has a line for each sample or point.")
     return sheet
 
 
@@ -140,6 +135,6 @@ def _as_text(cell: Any) -> str:
 
 
 def _check_names(source: Path, names: list[str]) -> None:
-    twice = next((name for name in names if names.count(name) > 1), None)
+    twice = next((name for name in names if name and names.count(name) > 1), None)
     if twice is not None:
         raise FileError(f"'{source}' has two columns {twice!r}; rename or remove one.")

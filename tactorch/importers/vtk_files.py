@@ -89,14 +89,9 @@ def read_vtk(path: str | Path) -> VtkFile:
 
     Raises:
         ConfigError: vtk, which reads .vtp, is not installed.
-        FileError: The file is missing, damaged or empty, or has another suffix.
+        FileError: The file is missing, damaged or empty.
     """
     source = require_file(path, "VTK file")
-    if source.suffix.lower() not in SUFFIXES:
-        raise FileError(
-            f"'{source}' has the unknown suffix '{source.suffix}'; use one of "
-            f"{', '.join(SUFFIXES)}."
-        )
     if source.suffix.lower() == ".vtp":
         return _read_vtp(source)
     content = read_any(source, {".vtu": "vtu", ".vtk": "vtk"})

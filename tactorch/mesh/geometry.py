@@ -19,6 +19,12 @@ def area_vectors(points: Points, triangles: Triangles) -> Float[np.ndarray, "k 3
     return np.cross(b - a, c - a) / 2.0
 
 
+def vertex_areas(points: Points, triangles: Triangles) -> Float[np.ndarray, " n"]:
+    """Return one third of the area of the triangles at each node."""
+    areas = np.linalg.norm(area_vectors(points, triangles), axis=1)
+    return np.bincount(triangles.ravel(), np.repeat(areas / 3.0, 3), len(points))
+
+
 def surface_area(points: Points, faces: Triangles) -> float:
     """Return the total area of triangles."""
     return float(np.linalg.norm(area_vectors(points, faces), axis=1).sum())

@@ -3,13 +3,24 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from tactorch.mesh.tetmesh import TetMesh
+from tactorch.mesh.values import Triangles
 
 _SHARP = 0.7  # cosine of the angle between the normals at a sharp edge
 _POINTS = 9  # on an edge, from which distances are measured
+
+
+def sharp_edges(
+    triangles: Triangles, normals: Float[np.ndarray, "k 3"], cosine: float
+) -> Int[np.ndarray, "e 2"]:
+    """Return the edges of a closed surface where the cosine between unit normals is lower."""
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    order = np.lexsort(edges.T[::-1])  # the two triangles of each edge are neighbours in it
+    first, second = order.reshape(-1, 2).T
+    return edges[first[(normals[first // 3] * normals[second // 3]).sum(axis=1) < cosine]]
 
 
 def distance_from_sharp_edges(
@@ -19,12 +30,7 @@ def distance_from_sharp_edges(
 
     It is infinite where there are none.
     """
-    surface = mesh.surface
-    edges = np.sort(surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    order = np.lexsort(edges.T[::-1])  # the two triangles of each edge are neighbours in it
-    first, second = order.reshape(-1, 2).T
-    cosines = (surface.normals[first // 3] * surface.normals[second // 3]).sum(axis=1)
-    ends = mesh.points[edges[first[cosines < _SHARP]]]
+    ends = mesh.points[sharp_edges(mesh.surface.triangles, mesh.surface.normals, _SHARP)]
     parts = np.linspace(0.0, 1.0, _POINTS)[:, None, None]
     tree = cKDTree(((1.0 - parts) * ends[:, 0] + parts * ends[:, 1]).reshape(-1, 3))
     return lambda points: np.asarray(tree.query(points)[0])

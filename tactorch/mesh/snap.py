@@ -6,6 +6,7 @@ from scipy.spatial import cKDTree
 
 from tactorch.mesh.closest import closest_points
 from tactorch.mesh.geometry import area_vectors, signed_volumes
+from tactorch.mesh.sharp_edges import sharp_edges
 from tactorch.mesh.tetmesh import TetMesh
 from tactorch.mesh.values import Points, Triangles
 
@@ -56,12 +57,9 @@ def _sharp(
     vertices: Points, triangles: Triangles
 ) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, " c"]]:
     """Return the sharp edges of a closed surface, and the vertices at which they meet or end."""
-    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    order = np.lexsort(edges.T[::-1])
-    first, second = order.reshape(-1, 2).T  # the two triangles of an edge are neighbours
     normals = area_vectors(vertices, triangles)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    sharp = edges[first[(normals[first // 3] * normals[second // 3]).sum(axis=1) < _SHARP]]
+    sharp = sharp_edges(triangles, normals, _SHARP)
     number = np.bincount(sharp.ravel(), minlength=len(vertices))
     sides = vertices[sharp[:, 1]] - vertices[sharp[:, 0]]
     sides /= np.maximum(np.linalg.norm(sides, axis=1, keepdims=True), 1e-300)

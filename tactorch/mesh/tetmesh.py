@@ -18,7 +18,13 @@ from tactorch.mesh.checks import (
     check_elements,
     check_faces,
 )
-from tactorch.mesh.geometry import area_vectors, bounding_box, frozen, signed_volumes
+from tactorch.mesh.geometry import (
+    area_vectors,
+    bounding_box,
+    frozen,
+    signed_volumes,
+    vertex_areas,
+)
 from tactorch.mesh.topology import (
     LOCAL_EDGES,
     LOCAL_FACES,
@@ -163,9 +169,7 @@ class TetMesh(Displayed):
     @cached_property
     def vertex_areas(self) -> Float[np.ndarray, " n"]:
         """One third of the area of the boundary triangles at each node, mm^2; zero inside."""
-        corners = self.surface.triangles.ravel()
-        thirds = np.repeat(self.surface.areas / 3.0, 3)
-        return frozen(np.bincount(corners, weights=thirds, minlength=self.n_points))
+        return frozen(vertex_areas(self.points, self.surface.triangles))
 
     @property
     def edges(self) -> Int[np.ndarray, "k 2"]:

@@ -18,18 +18,22 @@ from tactorch.sensor.contact import interpolate_displacements
 from tactorch.sensor.contact_edge import common_edge, image_edge
 from tactorch.sensor.depth import MIN_SLOPE, HeightMap
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.face_data import FaceData
-from tactorch.sensor.force import ForceOptions, ForceSolver
 from tactorch.sensor.frames import Frame, Image
-from tactorch.sensor.gel import GelContact, GelModel
-from tactorch.sensor.gel_face import EdgeDistance
+from tactorch.sensor.gel import (
+    EdgeDistance,
+    FaceData,
+    ForceOptions,
+    ForceSolver,
+    GelContact,
+    GelModel,
+    RefinedGel,
+)
 from tactorch.sensor.markers import (
     MarkerAppearance,
     MarkerTracker,
     TrackOptions,
     marker_displacements,
 )
-from tactorch.sensor.refined_gel import RefinedGel
 
 _AXIS = np.array([0.0, 0.0, 1.0])
 _MAX_SCALE_ERROR = 0.02  # between calibration and description

@@ -11,7 +11,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from tactorch.mesh.closest import closest_points
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.gel_face import EdgeDistance
+from tactorch.sensor.gel import EdgeDistance
 
 
 def image_edge(

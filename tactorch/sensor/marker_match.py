@@ -15,6 +15,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
+from tactorch.mesh.geometry import farthest_point_order
+
 _SEEDS = 8  # markers over the grid from which assignments are grown
 _SEED_REACH = 1.8  # largest displacement of a seed, in spacings
 _SEED_SPOTS = 10
@@ -134,7 +136,8 @@ def _seeds(grid: Grid, spots: Points) -> list[Points]:
     if len(spots) < 4:
         return []
     tree, seeds = cKDTree(spots), []
-    for marker in _spread(grid.points, _SEEDS):
+    center = int(np.argmin(np.linalg.norm(grid.points - grid.points.mean(axis=0), axis=1)))
+    for marker in farthest_point_order(grid.points, _SEEDS, center):
         patch = np.append(grid.neighbors[marker], marker)
         near = min(_SEED_SPOTS, len(spots))
         distance, index = tree.query(grid.points[marker], k=near)
@@ -148,17 +151,6 @@ def _seeds(grid: Grid, spots: Points) -> list[Points]:
             positions[patch[close]] = spots[found[close]]
             seeds.append(positions)
     return seeds
-
-
-def _spread(points: Points, count: int) -> list[int]:
-    """Indices of points far from each other, by farthest-point sampling."""
-    center = np.linalg.norm(points - points.mean(axis=0), axis=1)
-    chosen = [int(np.argmin(center))]
-    distance = np.linalg.norm(points - points[chosen[0]], axis=1)
-    while len(chosen) < min(count, len(points)):
-        chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    return chosen
 
 
 def _grow(grid: Grid, spots: Points, seed: Points) -> Points:

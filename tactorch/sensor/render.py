@@ -13,7 +13,6 @@ from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
-from tactorch.mesh.values import positive
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Image
 
@@ -51,17 +50,6 @@ class Lamps(Options):
                 f"{len(self.azimuths_deg)} azimuths_deg, {len(self.colours)} colours: give one"
                 " colour for each lamp."
             )
-
-    def illuminate(
-        self, height_mm: Float[np.ndarray, "h w"], mm_per_px: tuple[float, float]
-    ) -> Float[np.ndarray, "h w 3"]:
-        """Return the light from a matt face by its height, z toward the object; gray values."""
-        from tactorch.sensor.camera import GelCamera  # imports kornia
-
-        x, y = (positive("mm_per_px", size) for size in mm_per_px)
-        camera = GelCamera(self.shading(), (x, y), shadow=self.shadow)
-        with torch.no_grad():
-            return _to_numpy(camera(_batch(height_mm)))
 
     def shading(self) -> "Shading":
         """Return the light of the lamps for the differentiable camera."""

@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
+from tactorch.mesh.geometry import vertex_areas
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Image
 from tactorch.viz.figure import VERMILION, new_figure
@@ -177,7 +178,7 @@ class ForceView(FrameView):
     ) -> None:
         super().__init__(sensor, 2, 5.0)
         axes = self.axes[1]
-        self._area = node_areas(points, triangles)
+        self._area = vertex_areas(points, triangles)
         x, y = points[:, 0], points[:, 1]
         self._mesh = axes.tripcolor(
             Triangulation(x, y, triangles), np.zeros(len(points)), shading="gouraud",
@@ -211,12 +212,3 @@ class ForceView(FrameView):
         weak = np.linalg.norm(traction[:, :2], axis=1) < _MIN_SHEAR * self._longest
         shear = np.ma.masked_array(traction[:, :2], np.repeat(weak[:, None], 2, axis=1))
         self._arrows.set_UVC(shear[:, 0], shear[:, 1])
-
-
-def node_areas(
-    points: Float[np.ndarray, "k 3"], triangles: Int[np.ndarray, "t 3"]
-) -> Float[np.ndarray, " k"]:
-    """Return the area of each node, a third of the adjacent triangles, mm^2 (k,)."""
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    return np.bincount(triangles.ravel(), np.repeat(area / 3.0, 3), len(points))

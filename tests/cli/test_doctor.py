@@ -17,7 +17,7 @@ TOLD = (
     *("tactorch", "python", "lightning", "opencv-python-headless", "pytetwild", "pypardiso"),
     *("pyamg", "vtk", "dask", "superlu", "multigrid", "torch_cg", "cores"),
     *("threads", "memory", "GPU"),
-    *("cache of numba", "settings (conf)", "shared data", "videos", "mesher", "headless browser"),
+    *("cache of numba", "settings (conf)", "videos", "mesher"),
 )
 
 
@@ -192,17 +192,6 @@ def test_folders_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     assert found.remedy.startswith("set TACTORCH_CACHE")
 
 
-def test_shared_data(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("TACTORCH_SHARED", str(tmp_path))
-    found = finding("shared data")
-    assert found.works is False
-    assert str(tmp_path / "data") in found.message
-    (tmp_path / "data").mkdir()
-    assert finding("shared data").works is True
-    monkeypatch.delenv("TACTORCH_SHARED")
-    assert finding("shared data").works is not False  # nothing was asked for
-
-
 def test_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     import torch
 
@@ -225,13 +214,6 @@ def test_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
     monkeypatch.setattr(torch, "ones", lambda *a, **k: no_driver())
     assert finding("GPU").works is False
-
-
-def test_no_browser_is_told_and_not_missed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor.shutil, "which", lambda name: None)
-    found = finding("headless browser")
-    assert found.works is None
-    assert "no Chromium" in found.message
 
 
 def test_what_packages_print_does_not_spoil_the_json(

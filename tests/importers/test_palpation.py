@@ -216,7 +216,7 @@ def test_a_missing_or_binary_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="palpation"):
         import_palpation(tmp_path / "none.csv", radius_mm=RADIUS)
     (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00probe")
-    with pytest.raises(FileError, match="not a CSV file"):
+    with pytest.raises(FileError, match="not a table"):
         import_palpation(tmp_path / "b.csv", radius_mm=RADIUS)
 
 

@@ -7,9 +7,8 @@ import pytest
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.force import ForceOptions, ForceSolver
-from tactorch.sensor.gel import GelModel, GelOptions
-from tactorch.sensor.gel_compliance import face_compliance
+from tactorch.sensor.gel import ForceOptions, ForceSolver, GelModel, GelOptions
+from tactorch.sensor.gel.compliance import face_compliance
 
 GEL = GelLayer(4.0, 0.2, 0.45, size_mm=(10.0, 10.0))
 CELLS = GelOptions(1.0, 3, "tet4")

@@ -6,7 +6,7 @@ import pytest
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import GelLayer
 from tactorch.sensor.gel import GelModel, GelOptions
-from tactorch.sensor.tractions import fit_smooth_forces, traction_basis
+from tactorch.sensor.gel.tractions import fit_smooth_forces, traction_basis
 
 GEL = GelLayer(4.0, 0.2, 0.45, size_mm=(10.0, 10.0))
 NONE = np.zeros((60, 0))

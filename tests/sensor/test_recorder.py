@@ -20,8 +20,7 @@ from tactorch.sensor.chain import ChainOptions, Measurement, SensorChain
 from tactorch.sensor.depth import HeightMap
 from tactorch.sensor.description import GelLayer, SensorDescription
 from tactorch.sensor.frames import Frame
-from tactorch.sensor.gel import GelContact, GelModel
-from tactorch.sensor.gel_face import EdgeDistance
+from tactorch.sensor.gel import EdgeDistance, GelContact, GelModel
 from tactorch.sensor.poses import Poses
 from tactorch.sensor.recorder import Fixture, RecordOptions, VirtualCube, record, record_streaming
 from tactorch.sensor.recorder.detector import ContactDetector, ContactInterval

@@ -7,12 +7,17 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.sensor import refined_gel
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.face_data import FaceData
-from tactorch.sensor.gel import GelContact, GelModel, GelOptions
-from tactorch.sensor.gel_face import GelFace
-from tactorch.sensor.refined_gel import RefinedGel, _edge_length
+from tactorch.sensor.gel import (
+    FaceData,
+    GelContact,
+    GelFace,
+    GelModel,
+    GelOptions,
+    RefinedGel,
+    refined,
+)
+from tactorch.sensor.gel.refined import _edge_length
 
 GEL = GelLayer(2.0, 0.12, 0.45, size_mm=(8.0, 8.0))
 HALF = 2.3  # of the contact, mm; no line of the meshes
@@ -34,8 +39,8 @@ def pressed(points: np.ndarray) -> np.ndarray:
 def coarser() -> Iterator[None]:
     """Elements as long as stated, although the contact is small, and few modes: fast tests."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(refined_gel, "_EDGE_LENGTH", 1.0)
-        patch.setattr(refined_gel, "_MODES", 30)
+        patch.setattr(refined, "_EDGE_LENGTH", 1.0)
+        patch.setattr(refined, "_MODES", 30)
         yield
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import FileError
+from tactorch.mesh.geometry import vertex_areas
 from tactorch.sensor.calibration import Ball, BallPress, Circle
 from tactorch.sensor.description import GelLayer, SensorDescription
 from tactorch.viz import save_figure
@@ -18,7 +19,6 @@ from tactorch.viz.sensor_frames import (
     colour_limit,
     faded,
     image_extent,
-    node_areas,
     render,
 )
 from tactorch.viz.session import over_time_figure
@@ -99,7 +99,7 @@ def grid() -> tuple[np.ndarray, np.ndarray]:
 def test_an_even_pressure_is_drawn_even() -> None:
     """Forces are by node, and a node at the edge has less area: pressure does not show it."""
     points, triangles = grid()
-    area = node_areas(points, triangles)
+    area = vertex_areas(points, triangles)
     assert area.sum() == pytest.approx(120.0)
     forces = area[:, None] * np.array([0.002, 0.0, -0.01])  # MPa
     view = ForceView(SENSOR, points, triangles, (0.01, 0.002))

@@ -4,7 +4,7 @@ import math
 
 import torch
 from jaxtyping import Float
-from kornia.filters import gaussian_blur2d, spatial_gradient
+from kornia.filters import gaussian_blur2d
 from kornia.geometry.transform import remap
 from torch import Tensor, nn
 
@@ -84,13 +84,8 @@ class GelCamera(nn.Module):
 
 def face_slopes(height_mm: Heights, mm_per_px: Float[Tensor, "2"]) -> Float[Tensor, "b h w 2"]:
     """Return dz/dx and dz/dy by central differences, one-sided at the edges of the image."""
-    gradient = spatial_gradient(height_mm[:, None], mode="diff")[:, 0].movedim(1, -1)
-    # The border is replicated, which halves the differences there.
-    rows, columns = height_mm.shape[-2:]
-    both = torch.ones(rows, columns, 2, dtype=height_mm.dtype, device=height_mm.device)
-    both[:, [0, -1], 0] = 2.0
-    both[[0, -1], :, 1] = 2.0
-    return gradient * both / mm_per_px
+    by_row, by_column = torch.gradient(height_mm, dim=(-2, -1))
+    return torch.stack([by_column, by_row], dim=-1) / mm_per_px
 
 
 def image_places(height_mm: Heights) -> Float[Tensor, "h w 2"]:

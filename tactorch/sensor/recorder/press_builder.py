@@ -20,8 +20,7 @@ from tactorch.sensor.chain import Measurement, SensorChain
 from tactorch.sensor.contact import MIN_FACING, ContactOptions, build_press
 from tactorch.sensor.contact_edge import surface_edge
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.gel import GelContact
-from tactorch.sensor.gel_face import EdgeDistance
+from tactorch.sensor.gel import EdgeDistance, GelContact
 from tactorch.sensor.poses import Pose, Poses, transform_points
 from tactorch.sensor.recorder.detector import ContactInterval
 from tactorch.sensor.recorder.objects import VirtualCube

@@ -1,8 +1,8 @@
 """Contact forces of a gel frame by frame: what frames have in common is computed once.
 
-The compliance of the face at rest belongs to the mesh (`tactorch.sensor.gel_compliance`). For small
+The compliance of the face at rest belongs to the mesh (`tactorch.sensor.gel.compliance`). For small
 deformations it gives the forces by a fit without any solve of the finite element model, for large
-ones with a fixed number of solves (`tactorch.sensor.force_expansion`). The time for a frame is
+ones with a fixed number of solves (`tactorch.sensor.gel.force_expansion`). The time for a frame is
 therefore bounded, and a frame's forces do not depend on earlier frames.
 """
 
@@ -14,10 +14,10 @@ from jaxtyping import Bool, Float
 
 from tactorch.config import Options, option
 from tactorch.mesh.values import Real
-from tactorch.sensor.force_expansion import expand_forces
-from tactorch.sensor.force_fit import ForceFit, require_push
-from tactorch.sensor.gel import GelContact, GelModel
-from tactorch.sensor.gel_compliance import Report, face_compliance
+from tactorch.sensor.gel.compliance import Report, face_compliance
+from tactorch.sensor.gel.force_expansion import expand_forces
+from tactorch.sensor.gel.force_fit import ForceFit, require_push
+from tactorch.sensor.gel.model import GelContact, GelModel
 
 __all__ = ["ForceOptions", "ForceSolver"]
 

@@ -7,16 +7,13 @@ import logging
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.errors import FileError
 from tactorch.files import cache_folder, read_arrays, write_arrays
-
-if TYPE_CHECKING:
-    from tactorch.sensor.gel import GelModel
+from tactorch.sensor.gel.model import GelModel
 
 _log = logging.getLogger(__name__)
 _MAX_NODES = 2500  # of the face; the compliance of more has over 450 MB
@@ -28,7 +25,7 @@ Compliance = Float[np.ndarray, "k3 k3"]
 
 
 def face_compliance(
-    model: "GelModel", report: Report = lambda done, total: None
+    model: GelModel, report: Report = lambda done, total: None
 ) -> Compliance | None:
     """Return the displacements (mm) of the nodes of the face by unit forces (N) on them, at rest.
 
@@ -61,7 +58,7 @@ def face_compliance(
     return unit / youngs_mpa
 
 
-def _key(model: "GelModel") -> str:
+def _key(model: GelModel) -> str:
     """Hash of what the compliance depends on."""
     mesh, gel = model.gel_mesh, model.gel
     element = type(model.body.discretisation.element).__name__

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.sensor.gel import GelContact, GelModel
-from tactorch.sensor.tractions import SmoothFit, traction_basis
+from tactorch.sensor.gel.model import GelContact, GelModel
+from tactorch.sensor.gel.tractions import SmoothFit, traction_basis
 
 _MAX_PULL = 0.3  # of the pushing forces; less is noise at the rim of the contact region
 _MAX_RELEASES = 8

@@ -4,7 +4,7 @@ At the edge of a contact without slip the traction is singular (Johnson, Contact
 sec. 2.8): a mesh that does not resolve it, and a prior of smooth tractions, give up to 10 % too
 much force. The displacement of the contact is smooth instead, since it is that of the surface of
 the object. It is prescribed as a sum of smooth modes, the rest of the face is free, and the
-amplitudes follow from the data, see `tactorch.sensor.face_data`: markers measure the plane more
+amplitudes follow from the data, see `tactorch.sensor.gel.face_data`: markers measure the plane more
 precisely than slopes the depth, and the motion of a nearly incompressible gel in the plane
 determines the normal force as well.
 """
@@ -18,11 +18,11 @@ from tactorch.errors import ConfigError
 from tactorch.fem import NewtonOptions, SoftBody, Supports, make_material
 from tactorch.fem.equilibrium import SolvedCase
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.face_data import FaceData
-from tactorch.sensor.force_fit import require_push
-from tactorch.sensor.gel import GelContact, GelErrors, GelModel, at_vertices
-from tactorch.sensor.gel_face import EdgeDistance, GelFace
-from tactorch.sensor.tractions import SmoothFit
+from tactorch.sensor.gel.face import EdgeDistance, GelFace
+from tactorch.sensor.gel.face_data import FaceData
+from tactorch.sensor.gel.force_fit import require_push
+from tactorch.sensor.gel.model import GelContact, GelErrors, GelModel, at_vertices
+from tactorch.sensor.gel.tractions import SmoothFit
 
 _MODES = 90  # smooth modes of the displacement of the contact along each axis
 _NEWTON_RTOL = 1e-8

@@ -2,7 +2,7 @@
 
 The gel's elasticity is known, so at equilibrium its deformation determines the forces on its face.
 This amplifies noise of the displacements. `GelModel.smooth_forces` therefore finds the smooth
-forces that explain the displacements, see `tactorch.sensor.tractions`.
+forces that explain the displacements, see `tactorch.sensor.gel.tractions`.
 """
 
 from dataclasses import dataclass, replace
@@ -20,9 +20,10 @@ from tactorch.fem.equilibrium import SolvedCase
 from tactorch.fem.linearization import Linearization
 from tactorch.fem.newton import EquilibriumResult
 from tactorch.mesh import TetMesh, box_mesh
+from tactorch.mesh.geometry import vertex_areas
 from tactorch.mesh.values import Real, positive
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.tractions import fit_smooth_forces, traction_basis
+from tactorch.sensor.gel.tractions import fit_smooth_forces, traction_basis
 
 _MAX_CELLS = 200_000
 _NEWTON_RTOL = 1e-8
@@ -84,8 +85,7 @@ class GelMesh:
         surface = self.mesh.surface
         outer = self.on_face[surface.triangles].all(axis=1)
         self.face_triangles = (np.cumsum(self.on_face) - 1)[surface.triangles[outer]]
-        shares = np.repeat(surface.areas[outer] / 3.0, 3)  # of the adjacent triangles, mm^2
-        self.face_areas = np.bincount(self.face_triangles.ravel(), shares, len(self.face))
+        self.face_areas = vertex_areas(self.face_points, self.face_triangles)  # mm^2
 
     def edges(self, selected: Bool[np.ndarray, " k"]) -> Int[np.ndarray, "e 2"]:
         """Return pairs of neighbors among selected nodes of the face, as indices among these."""

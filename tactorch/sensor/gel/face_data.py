@@ -16,7 +16,7 @@ from scipy.spatial.distance import cdist
 
 from tactorch.errors import ConfigError
 from tactorch.mesh.closest import closest_points
-from tactorch.sensor.gel_face import EdgeDistance
+from tactorch.sensor.gel.face import EdgeDistance
 
 # Parts of the deviation of the depth: independent at each point, and smooth.
 _ROUGH, _SMOOTH = 0.4, 0.5

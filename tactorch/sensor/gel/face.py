@@ -10,10 +10,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from tactorch.mesh import TetMesh, refine
-from tactorch.mesh.geometry import signed_volumes
+from tactorch.mesh.geometry import signed_volumes, vertex_areas
 from tactorch.mesh.refine import Sizing
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.gel import GelMesh
+from tactorch.sensor.gel.model import GelMesh
 
 _GROWTH = 0.7  # of the edge length with the distance from the edge of the contact
 # Step of differences of the distance, and distance of points on the edge, over the edge length.
@@ -126,10 +126,7 @@ class GelFace:
 
     def _contact_areas(self, flat: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, " c"]:
         """Areas of the nodes in contact, mm^2."""
-        first, second, third = (flat[corner] for corner in self._contact_triangles.T)
-        (x, y), (u, v) = (second - first).T, (third - first).T
-        thirds = np.abs(x * v - y * u) / 6.0
-        return np.bincount(self._contact_triangles.ravel(), np.repeat(thirds, 3), len(flat))
+        return vertex_areas(np.pad(flat, ((0, 0), (0, 1))), self._contact_triangles)
 
     def _parts(self) -> Int[np.ndarray, " c"]:
         """Part of the contact of each of its nodes."""

@@ -9,7 +9,7 @@ may fail.
 import numpy as np
 
 from tactorch.errors import ConvergenceError
-from tactorch.sensor.force_fit import ForceFit, Nodes, Vectors
+from tactorch.sensor.gel.force_fit import ForceFit, Nodes, Vectors
 
 _ORDERS = 3
 _DIFFERENCE = 0.05  # of the factor, for derivatives of the internal forces
