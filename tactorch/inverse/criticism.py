@@ -20,9 +20,9 @@ from tactorch.linalg import DenseCholesky
 
 _MAX_PARAMETERS = 6_000  # whose normal matrix is solved in each step
 _STEPS = 8  # of reweighted least squares
-# Penalty of the map with errors of the forces, over that without: 0.90 to 1.00 where forces are right
-# or wrong by so little that the map is right, and 0.38 to 0.55 where the map is wrong (cubes with a
-# ball, forces wrong by up to 13 %, meshes of 320 to 1,715 elements).
+# Penalty of the map with errors of the forces, over that without. On cubes with a ball it is 0.90 to
+# 1.00 where forces are right or nearly so, and 0.38 to 0.55 where they are wrong by up to 13 % and
+# the map is wrong, on meshes of 320 to 1,715 elements.
 _MAX_STRUCTURE = 0.7
 
 
@@ -40,7 +40,6 @@ def wrong_forces(point: Point, weight: float) -> float | None:
     has_forces = all(press.forces.any() for press in point.objective.problem.recording.presses)
     if len(point.x) > _MAX_PARAMETERS or not has_forces or len(point.z):
         return None
-    evaluation = point.evaluation
     patterns = _scale_patterns(point)
     # The optimizer may have ended before the optimum.
     exact = _optimum(point, weight, 0.0 * patterns[:, :1])
