@@ -20,7 +20,7 @@ from tactorch.linalg import DenseCholesky
 
 _MAX_PARAMETERS = 6_000  # whose normal matrix is solved in each step
 _STEPS = 8  # of reweighted least squares
-# Penalty of the map with errors of the forces, over that without. On cubes with a ball it is 0.90 to
+# Penalty of the map with errors of the forces, over that without. On cubes with a ball it is 0.9 to
 # 1.00 where forces are right or nearly so, and 0.38 to 0.55 where they are wrong by up to 13 % and
 # the map is wrong, on meshes of 320 to 1,715 elements.
 _MAX_STRUCTURE = 0.7
