@@ -12,7 +12,7 @@ processor time of mesh, moduli and solution, that of fTetWild included.
 - `tetwild`: a mesh of 0.06 by fTetWild that conforms to the surface of the inclusion.
 - `default`: the default of `tactorch simulate`.
 
-The faces of the L are grid planes of the finer mesh, which has cells of 0.5 mm. For other inclusions
+The faces of the L are grid planes of the finer mesh, of cells of 0.5 mm. For other inclusions
 it is regular, of 0.05 of the diagonal, with edges of at most REFERENCE_MM at the surface of the
 inclusion, which its faces follow as those of the default do. All meshes of a case are solved in one
 process, one after the other. The last line printed is one JSON object.
