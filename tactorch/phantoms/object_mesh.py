@@ -17,7 +17,7 @@ from tactorch.mesh.conform import ClosedSurface, conform
 from tactorch.mesh.refine import Sizing, refine
 
 # Longest edge at the surface of an inclusion, over its inner radius. With 1.2 an L of bars of 2 mm
-# takes twice as long in `benchmarks/simulate_object.py`, and its error decreases by a quarter.
+# takes three times as long in `benchmarks/simulate_object.py`, for an error less by a quarter.
 _PER_RADIUS = 1.4
 _GROWTH = 0.5  # of the longest edge with the distance from the surface
 _POINTS = 16  # along each axis of a grid in the bounding box, which finds the inner radius
