@@ -19,7 +19,6 @@ from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.importers import FORMATS  # noqa: F401  (the registry of the section)
 from tactorch.inverse import Reconstruction
-from tactorch.phantoms import MeshSize
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +28,6 @@ class DemoOptions(SimulationOptions, invert.InversionOptions, CommandOptions):
     source: Literal["simulated", "published"] = option("simulated", "Source of the recording")
     path: Path | None = option(None, "Folder of the published case, for source=published")
     format: Any = option("published", "Format of the published case", section="format")
-    mesh: MeshSize = option(factory=MeshSize, help="Meshes", preset="conforming")
     run_dir: str = option("outputs/demo", "Folder of the results and the log")
 
 

@@ -8,13 +8,13 @@
 The recording is written to recording.h5 in the run folder, or to `out`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from tactorch.cli.console import log, progress
 from tactorch.cli.settings import CommandOptions, material_spec, run_folder
-from tactorch.config import Options, option
+from tactorch.config import Options, option, to_mapping
 from tactorch.errors import ConfigError
 from tactorch.fem import MATERIALS  # noqa: F401  (the registry of the section)
 from tactorch.linalg import SOLVERS
@@ -39,7 +39,10 @@ class SimulationOptions(Options):
         None, "Element type of the simulation; null: tet10 on a separate mesh, else element"
     )
     samples: int = option(
-        4, "Samples per edge that average the modulus over cut elements; 1: centroid", ge=1
+        4,
+        "Samples per edge that average the modulus over cut elements of the recording's mesh;"
+        " 1: centroid, in the simulation too",
+        ge=1,
     )
     snr_db: float | None = option(40.0, "Signal-to-noise ratio; null: no noise", unit="dB")
     seed: int = option(0, "Seed of the noise", ge=0)
@@ -75,7 +78,7 @@ def simulate_recording(options: SimulationOptions) -> Recording:
     if element == "tet10" and isinstance(SOLVERS.build(solver), AutoSolver):
         solver = "p_multigrid"
     with progress("simulating", "presses") as update:
-        return simulate(
+        recording = simulate(
             phantom,
             options.press,
             material=material_spec(options.material),
@@ -88,3 +91,5 @@ def simulate_recording(options: SimulationOptions) -> Recording:
             seed=options.seed,
             progress=update,
         )
+    provenance = {**recording.provenance, "mesh": to_mapping(options.mesh)}
+    return replace(recording, provenance=provenance)

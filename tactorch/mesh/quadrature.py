@@ -11,6 +11,7 @@ from tactorch.mesh.values import Points
 
 # Points evaluated at once; limits the memory.
 _MAX_POINTS = 500_000
+SAMPLES = 6  # points of the lattice along an edge, of which those around a quadrature point are
 
 
 def lattice(
@@ -34,15 +35,60 @@ def lattice(
     return (counts + margin) / (n + corners * margin)
 
 
+def samples_around(
+    rule: Float[np.ndarray, "q 4"], samples: int = SAMPLES
+) -> Float[np.ndarray, "p 4"]:
+    """Return as many points of an element for each quadrature point, those nearest to it.
+
+    Points and rule are in barycentric coordinates. Points of the lattice that are nearest to two
+    quadrature points count half for each: the others are there twice.
+
+    Args:
+        rule: Quadrature points.
+        samples: Number of points of the lattice along an edge.
+    """
+    points = lattice(samples)
+    distance = ((points[:, None] - rule) ** 2).sum(axis=2)
+    nearest = np.isclose(distance, distance.min(axis=1, keepdims=True))
+    counts = 2 // nearest.sum(axis=1, keepdims=True) * nearest
+    groups = [np.repeat(np.arange(len(points)), count) for count in counts.T]
+    return points[np.concatenate(groups)]
+
+
 def element_means(
     mesh: TetMesh, values_at: Callable[[Points], Float[np.ndarray, " n"]], samples: int
 ) -> Float[np.ndarray, " m"]:
     """Return the mean of a field over each element, from `samples` points along an edge."""
-    weights = lattice(samples)
-    means = np.empty(mesh.n_tets)
+    return _means(mesh, values_at, lattice(samples), 1)[:, 0]
+
+
+def quadrature_means(
+    mesh: TetMesh,
+    values_at: Callable[[Points], Float[np.ndarray, " n"]],
+    rule: Float[np.ndarray, "q 4"],
+) -> Float[np.ndarray, "m q"]:
+    """Return the mean of a field over the part of each element nearest to each quadrature point.
+
+    Args:
+        mesh: Mesh.
+        values_at: Field.
+        rule: Barycentric coordinates of the quadrature points; see `samples_around`.
+    """
+    return _means(mesh, values_at, samples_around(rule), len(rule))
+
+
+def _means(
+    mesh: TetMesh,
+    values_at: Callable[[Points], Float[np.ndarray, " n"]],
+    weights: Float[np.ndarray, "p 4"],
+    groups: int,
+) -> Float[np.ndarray, "m groups"]:
+    """Return the means of a field over equal groups of points of each element."""
+    means = np.empty((mesh.n_tets, groups))
     step = max(1, _MAX_POINTS // len(weights))
     for start in range(0, mesh.n_tets, step):
         corners = mesh.points[mesh.tets[start : start + step]]
         points = np.einsum("pc,mcd->mpd", weights, corners).reshape(-1, 3)
-        means[start : start + step] = values_at(points).reshape(-1, len(weights)).mean(axis=1)
+        values = values_at(points).reshape(len(corners), groups, -1)
+        means[start : start + step] = values.mean(axis=2)
     return means

@@ -13,10 +13,11 @@ from tactorch.errors import ConfigError, MeshError
 from tactorch.mesh import BodyFile, Box, Cylinder, Hemisphere, Hyperboloid, Lathe, Shape, TetMesh
 from tactorch.mesh.geometry import bounding_diagonal
 from tactorch.mesh.meshing import mesh_shape
-from tactorch.mesh.quadrature import element_means
+from tactorch.mesh.quadrature import element_means, quadrature_means
 from tactorch.mesh.values import Real, positive
 from tactorch.phantoms.background import Background
 from tactorch.phantoms.config import as_mapping, from_config, to_config
+from tactorch.phantoms.object_mesh import follow_inclusions
 from tactorch.phantoms.overlap import protrusion
 
 #: Bodies: each can have a flat side for supports.
@@ -99,6 +100,26 @@ class Phantom(Displayed):
                 `tactorch.mesh.quadrature.lattice`), so that elements cut by the surface of an
                 inclusion have the volume average.
         """
+        self._check_bounds(mesh)
+        return element_means(mesh, self.youngs_at, samples)
+
+    def at_quadrature(
+        self, mesh: TetMesh, rule: Float[np.ndarray, "q 4"]
+    ) -> Float[np.ndarray, "m q"]:
+        """Return Young's modulus at the quadrature points of each element, MPa.
+
+        It is the geometric mean over the part of the element nearest to the point, which represents
+        boundaries that cross elements better than an arithmetic mean: that is too stiff.
+
+        Args:
+            mesh: Mesh of the body.
+            rule: Barycentric coordinates of the quadrature points.
+        """
+        self._check_bounds(mesh)
+        means = quadrature_means(mesh, lambda points: np.log(self.youngs_at(points)), rule)
+        return np.asarray(np.exp(means))
+
+    def _check_bounds(self, mesh: TetMesh) -> None:
         bounds = self.body.bounds()
         if np.abs(mesh.bounds - bounds).max() > MAX_BOUNDS_DIFFERENCE * bounding_diagonal(bounds):
             spans = [
@@ -109,7 +130,6 @@ class Phantom(Displayed):
                 f"The mesh spans {spans[0]} mm but the phantom's body {spans[1]} mm; mesh the"
                 " phantom itself, or check position and units."
             )
-        return element_means(mesh, self.youngs_at, samples)
 
     def mesh(
         self,
@@ -194,11 +214,13 @@ class MeshSize(Options):
         None, "Edge length of the simulation's mesh; null: fine_relative", unit="mm", gt=0
     )
     fine_relative: float | None = option(
-        0.05, "Edge length of the simulation's mesh as a fraction of the diagonal; null: the"
+        0.06, "Edge length of the simulation's mesh as a fraction of the diagonal; null: the"
         " recording's mesh (an inverse crime)", gt=0,
     )  # fmt: skip
     fine_conforming: bool = option(
-        False, "Whether faces of the simulation's mesh conform to the surfaces of the inclusions"
+        True,
+        "Whether faces of the simulation's mesh follow the surfaces of the inclusions, with"
+        " shorter edges where these are small",
     )
     generator: Literal["auto", "structured", "tetwild"] = option(
         "auto", "Mesh generator; auto: structured for boxes, tetwild for other bodies"
@@ -213,14 +235,13 @@ class MeshSize(Options):
         )
         if self.fine_edge_length_mm is None and self.fine_relative is None:
             return coarse, None
-        conforming = self.fine_conforming and bool(phantom.inclusions)
         fine = phantom.mesh(
             self.fine_edge_length_mm,
             relative_edge_length=self.fine_relative or 0.1,
-            generator="tetwild" if conforming else self.generator,
-            conforming=conforming,
+            generator=self.generator,
         )
-        return coarse, fine
+        shapes = [shape for shape, _ in phantom.inclusions] if self.fine_conforming else []
+        return coarse, follow_inclusions(fine, shapes)
 
 
 def _entry(entry: Any, index: int) -> tuple[Shape, float]:

@@ -59,7 +59,9 @@ def simulate(
         material: Constitutive law without Young's modulus.
         mesh: The recording's mesh, used for the inversion; default: `phantom.mesh()`.
         fine_mesh: Mesh to solve on, such as `phantom.mesh(0.5)`.
-        samples: Number of sampling points for the modulus of elements, see `Phantom.on_mesh`.
+        samples: Number of sampling points for the modulus of elements, see `Phantom.on_mesh`. With
+            more than one, quadratic elements of `fine_mesh` have moduli at their quadrature points,
+            see `Phantom.at_quadrature`.
         element: "tet4" or "tet10".
         solver: Linear solver, see `tactorch.linalg`.
         snr_db: Signal-to-noise ratio 20 log10(rms(u) / sigma), over the observed degrees of
@@ -93,7 +95,8 @@ def simulate(
     weight = np.zeros((body.n_nodes, 3))
     if density is not None:
         weight = body.gravity(density, acceleration.tolist()).numpy()
-    simulator = PressSimulator(body, phantom.on_mesh(fine_mesh, samples), mesh, plan, weight)
+    youngs = truth if fine_mesh is mesh else _moduli(phantom, body, samples)
+    simulator = PressSimulator(body, youngs, mesh, plan, weight)
     sites = [simulator.conditions(site) for site in plan.sites_on(mesh)]
     lock, solved = threading.Lock(), itertools.count(1)
     total = len(sites) * len(plan.pressures)
@@ -134,6 +137,7 @@ def simulate(
         "element": element,
         "solver": solver if isinstance(solver, str) else SOLVERS.name_of(type(solver)),
         "samples": samples,
+        "modulus": "per element" if youngs.ndim == 1 else "at quadrature points",
         "snr_db": snr_db,
         "seed": seed,
         "inverse_crime": simulator.same_mesh,
@@ -149,6 +153,14 @@ def simulate(
         density=density,
         gravity=acceleration,
     )
+
+
+def _moduli(phantom: Phantom, body: SoftBody, samples: int) -> Float[np.ndarray, "m *q"]:
+    """Return Young's modulus of each element, or quadrature point of quadratic ones, MPa."""
+    element = body.discretisation.element
+    if element.quadratic and samples > 1:
+        return phantom.at_quadrature(body.mesh, element.points)
+    return phantom.on_mesh(body.mesh, samples)
 
 
 def noise_level(signal: Float[np.ndarray, " k"], snr_db: Real) -> float:

@@ -37,7 +37,7 @@ class PressSimulator:
     """Soft body, possibly on a finer mesh than the recording's."""
 
     body: SoftBody
-    youngs: Float[np.ndarray, " e"]  # MPa
+    youngs: Float[np.ndarray, "e *q"]  # of each element, or quadrature point, MPa
     mesh: TetMesh  # of the recording
     plan: PressPlan
     weight: Nodal  # N

@@ -69,6 +69,10 @@ def test_presses_on_a_separate_mesh_have_quadratic_elements(
     assert done.status == 0, done.err
     provenance = Recording.load("made.h5").provenance
     assert provenance["element"] == element
+    separate = "mesh.fine_relative=0.3" in settings
+    assert provenance["mesh"]["fine_relative"] == (0.3 if separate else None)
+    at_points = separate and element == "tet10"
+    assert provenance["modulus"] == ("at quadrature points" if at_points else "per element")
     assert provenance["inverse_crime"] == (len(settings) == 0 or settings[0] == "element=tet10")
 
 

@@ -8,7 +8,7 @@ import pytest
 from tactorch.errors import ConfigError, ConvergenceError, MeshError
 from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.mesh import TetMesh, box_mesh
-from tactorch.phantoms import Phantom, make_phantom
+from tactorch.phantoms import MeshSize, Phantom, make_phantom
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.simulation import PressPlan, simulate
 
@@ -138,6 +138,43 @@ def test_noise_is_recorded_and_independent_between_presses(phantom: Phantom, mes
     assert np.std(draws) == pytest.approx(1.0, rel=0.15)
     alone = simulate(phantom, replace(plan, faces=("z+",)), mesh=mesh, snr_db=20.0)
     assert seen(alone.presses[1]).tobytes() == seen(noisy.presses[1]).tobytes()
+
+
+def test_presses_are_those_of_the_object() -> None:
+    """The default agrees with a mesh by fTetWild, whose elements are inside or outside."""
+    phantom = make_phantom("cube_sphere")
+    mesh, fine = MeshSize().build(phantom)
+    conforming = phantom.mesh(1.2, conforming=True)
+    plan = PressPlan(pressures_mpa=(0.02,))
+    found, exact = (
+        seen(
+            simulate(
+                phantom, plan, mesh=mesh, fine_mesh=solved, samples=samples, element="tet10",
+                solver="p_multigrid",
+            ).presses[0]
+        )
+        for solved, samples in ((fine, 4), (conforming, 1))
+    )  # fmt: skip
+    # The noise of 40 dB is 1e-2.
+    assert np.linalg.norm(found - exact) < 2e-3 * np.linalg.norm(exact)
+
+
+def test_moduli_are_at_quadrature_points_of_a_finer_quadratic_mesh(
+    phantom: Phantom, mesh: TetMesh, fine: TetMesh
+) -> None:
+    plan = PressPlan(pressures_mpa=(0.02,))
+
+    def modulus(fine_mesh: TetMesh | None, **settings: Any) -> str:
+        recording = simulate(phantom, plan, mesh=mesh, fine_mesh=fine_mesh, **settings)
+        np.testing.assert_array_equal(
+            recording.truth, phantom.on_mesh(mesh, settings.get("samples", 1))
+        )
+        return recording.provenance["modulus"]
+
+    assert modulus(fine, element="tet10", samples=4) == "at quadrature points"
+    assert modulus(fine, element="tet10") == "per element"
+    assert modulus(fine, samples=4) == "per element"
+    assert modulus(None, element="tet10", samples=4) == "per element"
 
 
 def test_fine_mesh_is_close_but_no_crime(phantom: Phantom, mesh: TetMesh, fine: TetMesh) -> None:

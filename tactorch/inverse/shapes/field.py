@@ -21,9 +21,8 @@ from tactorch.fem.assembly import Assembly
 from tactorch.inverse.shapes import strength
 from tactorch.inverse.shapes.fractions import Geometry
 from tactorch.mesh import TetMesh
-from tactorch.mesh.quadrature import lattice
+from tactorch.mesh.quadrature import samples_around
 
-_SAMPLES = 6  # points of the lattice along an edge of an element
 _SMOOTH = "legendre"  # modes of a smooth background
 _STEP = 1e-5  # of differences, in standard deviations of the prior
 _WIDTH = 0.15  # width of a boundary over the cube root of the element's volume
@@ -69,20 +68,6 @@ class Sites:
     def at(points: Float[np.ndarray, "n 3"]) -> "Sites":
         """Return points (mm), at which boundaries are sharp."""
         return Sites(points[:, None], np.zeros(len(points)), (len(points), 1))
-
-
-def samples_around(rule: Float[np.ndarray, "q 4"]) -> Float[np.ndarray, "samples 4"]:
-    """Return as many sample points of an element for each quadrature point, those nearest to it.
-
-    Points are in barycentric coordinates. Those nearest to two quadrature points count half for
-    each: the others are there twice.
-    """
-    samples = lattice(_SAMPLES)
-    distance = ((samples[:, None] - rule) ** 2).sum(axis=2)
-    nearest = np.isclose(distance, distance.min(axis=1, keepdims=True))
-    counts = 2 // nearest.sum(axis=1, keepdims=True) * nearest
-    groups = [np.repeat(np.arange(len(samples)), count) for count in counts.T]
-    return samples[np.concatenate(groups)]
 
 
 @dataclass(frozen=True)
