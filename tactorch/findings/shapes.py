@@ -1,12 +1,11 @@
 """Findings from shapes that were fitted to the presses."""
 
 import numpy as np
-from jaxtyping import Float
 
 from tactorch.findings.elongation import Elongation
 from tactorch.findings.finding import Confidence, Finding, Lump, measure_depth
 from tactorch.inverse.palpation import is_palpation
-from tactorch.inverse.shapes import Ellipsoid, ShapeInclusion, ShapeReconstruction
+from tactorch.inverse.shapes import ShapeInclusion, ShapeReconstruction
 from tactorch.metrics import Inclusion
 from tactorch.recording import Recording
 
@@ -88,10 +87,4 @@ def _lump(recording: Recording, found: ShapeInclusion) -> Lump:
         found.youngs_90_mpa,
     )
     depth = measure_depth(mesh, recording.presses, center, inside)
-    return Lump(inclusion, _extent(shape), depth, confidence, Elongation.of(shape))
-
-
-def _extent(shape: Ellipsoid) -> Float[np.ndarray, "3"]:
-    """Size along x, y and z, mm."""
-    half = np.array(shape.semi_axes_mm)[:, None] * np.array(shape.axes)
-    return 2.0 * np.linalg.norm(half, axis=0)
+    return Lump(inclusion, 2.0 * shape.half_size_mm, depth, confidence, Elongation.of(shape))

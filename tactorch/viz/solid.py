@@ -15,7 +15,7 @@ from tactorch.errors import ConfigError
 from tactorch.files import atomic_path
 from tactorch.findings import Finding
 from tactorch.inverse import Reconstruction, ShapeReconstruction
-from tactorch.inverse.shapes import Ellipsoid
+from tactorch.inverse.shapes import InclusionShape
 from tactorch.mesh import TetMesh
 from tactorch.phantoms import Phantom
 from tactorch.progress import in_notebook
@@ -101,7 +101,7 @@ def _(phantom: Phantom) -> "pyvista.UnstructuredGrid":
 @to_pyvista.register(ShapeReconstruction)
 def _(shapes: ShapeReconstruction) -> "pyvista.MultiBlock":
     found = [(inclusion.shape, inclusion.youngs_mpa) for inclusion in shapes.inclusions]
-    return _blocks([_ellipsoid(*each) for each in found])
+    return _blocks([_solid(*each) for each in found])
 
 
 @to_pyvista.register(Finding)
@@ -120,12 +120,10 @@ def _blocks(parts: Sequence["pyvista.DataSet"]) -> "pyvista.MultiBlock":
     return _pyvista().MultiBlock({f"lump {number}": part for number, part in enumerate(parts, 1)})
 
 
-def _ellipsoid(shape: Ellipsoid, youngs_mpa: float) -> "pyvista.PolyData":
-    ball = _pyvista().Sphere(theta_resolution=_RESOLUTION, phi_resolution=_RESOLUTION, radius=1.0)
-    stretched = ball.points @ (np.array(shape.semi_axes_mm)[:, None] * np.array(shape.axes))
-    ball.points = stretched + shape.center_mm
-    ball.cell_data[_YOUNGS] = np.full(ball.n_cells, youngs_mpa)
-    return ball
+def _solid(shape: InclusionShape, youngs_mpa: float) -> "pyvista.PolyData":
+    solid: pyvista.PolyData = _pyvista().PolyData.from_regular_faces(*shape.surface(_RESOLUTION))
+    solid.cell_data[_YOUNGS] = np.full(solid.n_cells, youngs_mpa)
+    return solid
 
 
 def show(thing: object, screenshot: str | Path | None, **options: Any) -> None:

@@ -11,8 +11,8 @@ import tactorch
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.findings import Finding, Status, build_finding, build_shape_finding, find
 from tactorch.inverse import GaussNewton, Reconstruction, Settings, invert
+from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.shapes import KeptRims, ShapeReconstruction
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
@@ -37,7 +37,7 @@ def result(recording: Recording) -> Reconstruction:
 @pytest.fixture
 def shapes(recording: Recording) -> ShapeReconstruction:
     """A ball of 0.8 MPa in 0.2 MPa."""
-    field = ShapeField(ShapePrior.of(recording.mesh, 0.2), (False,))
+    field = ShapeField(ShapePrior.of(recording.mesh, 0.2), (BALL,))
     z = field.standard(np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.0), np.log(4.0)]))
     posterior = ShapePosterior(field, z, np.zeros(len(z)), 4e-4 * np.eye(len(z)))
     return ShapeReconstruction(field, z, posterior, 1.0, (50.0,), 50.0)
