@@ -35,9 +35,9 @@ from true_cases import OBJECTS, PRESSES, Body, Case, Contact, Presses, Truth, ma
 
 from tactorch.errors import TactorchError
 from tactorch.inverse import InverseProblem, Settings, find_shapes
+from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.shapes import KeptRims, ShapeReconstruction
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
-from tactorch.inverse.shapes.model import as_ellipsoid
+from tactorch.inverse.shapes.model import as_judged
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import Box, Sphere
 from tactorch.mesh.geometry import farthest_point_order
@@ -144,15 +144,13 @@ def limit_of(seed: int, grids: Sequence[int], budget: int, cache: Path | None) -
 def true_shapes(seed: int, recording: Recording) -> ShapeReconstruction:
     """Return the balls of an object as ellipsoids, with a posterior that is the prior."""
     inclusions = make_body(seed).phantom.inclusions
-    field = ShapeField(ShapePrior.of(recording.mesh, BACKGROUND_MPA), (False,) * len(inclusions))
+    field = ShapeField(ShapePrior.of(recording.mesh, BACKGROUND_MPA), (BALL,) * len(inclusions))
     values = [np.array([np.log(BACKGROUND_MPA)])]
     for ball, youngs in inclusions:
         values.append(
             np.array([*ball.center_mm, np.log(ball.radius_mm), np.log(youngs / BACKGROUND_MPA)])
         )
-    z = field.standard(np.concatenate(values))
-    for k in range(len(inclusions)):
-        field, z = as_ellipsoid(field, z, k)
+    field, z = as_judged(field, field.standard(np.concatenate(values)))
     posterior = ShapePosterior(field, z, np.zeros(len(z)), np.eye(len(z)))
     return ShapeReconstruction(field, z, posterior, 1.0, (50.0,) * len(inclusions), 50.0)
 

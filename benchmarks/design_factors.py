@@ -28,9 +28,9 @@ import numpy as np
 from machine import OtherWork, describe_machine, map_in_processes
 
 from tactorch.inverse import Settings, invert_map
+from tactorch.inverse.fields import BALL, ShapeField, ShapePrior, Sites
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.shapes import find_shapes
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.fit import ShapesOnSites
 from tactorch.mesh import Sphere
 from tactorch.mesh.quadrature import element_means
@@ -174,7 +174,7 @@ def efficient_estimates(recording: Recording, phantom: Phantom) -> Iterator[Call
     assert isinstance(ball, Sphere)
     problem = InverseProblem(replace(recording, truth=None), element="tet10")
     background = float(phantom.youngs_mpa)
-    field = ShapeField(ShapePrior.of(recording.mesh, background), (False,))
+    field = ShapeField(ShapePrior.of(recording.mesh, background), (BALL,))
     log_contrast = np.log(modulus / background)
     values = [np.log(background), *ball.center_mm, np.log(ball.radius_mm), log_contrast]
     z, sites = field.standard(np.array(values)), Sites.of(problem.body.assembly)

@@ -29,11 +29,10 @@ from machine import OtherWork, map_in_processes, write_results
 from true_cases import CASES, RANDOM_CASES, Case, make_recording, random_cases
 
 from tactorch.inverse.data import DataModel
+from tactorch.inverse.fields import BALL, CENTER, ELLIPSOID, SIZE, ShapeField, ShapePrior
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.shapes.correction import Correction
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.fit import fit_shapes
-from tactorch.inverse.shapes.fractions import Geometry
 from tactorch.mesh import Ellipsoid, Rotated, Sphere
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
@@ -131,30 +130,25 @@ def _truth(case: Case, prior: ShapePrior) -> tuple[ShapeField, np.ndarray]:
     background = float(case.body.phantom.youngs_mpa)
     turn = shape.matrix() if isinstance(shape, Rotated) else np.eye(3)
     inner = shape.of if isinstance(shape, Rotated) else shape
+    center, contrast = np.array(inner.center_mm), np.log(youngs / background)
     if isinstance(inner, Sphere):
-        extents = [np.log(inner.radius_mm)]
-        distortions: list[float] = []
+        field, own = ShapeField(prior, (BALL,)), [*center, np.log(inner.radius_mm), contrast]
     else:
         assert isinstance(inner, Ellipsoid)
         logs = turn @ np.diag(np.log(inner.radii_mm)) @ turn.T
-        geometry = Geometry.of(np.array(inner.center_mm), logs)
-        extents, distortions = [geometry.log_radius], geometry.distortions.tolist()
-    contrast = np.log(youngs / background)
-    values = [np.log(background), *inner.center_mm, *extents, contrast, *distortions]
-    field = ShapeField(prior, (bool(distortions),))
-    return field, field.standard(np.array(values))
+        field, own = ShapeField(prior, (ELLIPSOID,)), ELLIPSOID.values(center, logs, contrast)
+    return field, field.standard(np.array([np.log(background), *own]))
 
 
 def _scores(field: ShapeField, step: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
     """Return a step in log-modulus, log-radius and centre (mm), and over its deviation."""
-    start = field.parts[0].start
-    # The modulus is that of the background times the contrast.
-    youngs = np.zeros((1, len(step)))
-    youngs[0, [0, start + 4]] = 1.0
+    unit = np.eye(len(step))
+    (radius, contrast), center = field.index(0, *SIZE), field.index(0, *CENTER)
     rows = {
-        "log_youngs": youngs,
-        "log_radius": np.eye(len(step))[[start + 3]],
-        "center": np.eye(len(step))[start : start + 3],
+        # The modulus is that of the background times the contrast.
+        "log_youngs": unit[[field.background.level]] + unit[[contrast]],
+        "log_radius": unit[[radius]],
+        "center": unit[center],
     }
     scores = {}
     for name, row in rows.items():

@@ -169,7 +169,7 @@ def invert_by_shapes(recording: Recording, settings: Settings) -> Answer:
         "force_deviation": result.force_deviation,
         "pose_deviation": result.pose_deviation,
         "rim_deviation": result.rim_deviation,
-        "degree": result.field.degree,
+        "degree": result.field.background.degree,
         "history": result.history,
     }
     return Answer(result.youngs_at, seconds, result.log_deviation_at, lumps, notes)

@@ -16,8 +16,8 @@ from jaxtyping import Float
 from scipy.special import ndtr
 
 from tactorch.errors import ConfigError
+from tactorch.inverse.fields import CENTER, ShapeField, Sites
 from tactorch.inverse.shapes import ShapeReconstruction
-from tactorch.inverse.shapes.field import ShapeField, Sites
 from tactorch.inverse.shapes.matched import Balls
 from tactorch.mesh import TetMesh
 from tactorch.mesh.quadrature import lattice
@@ -72,13 +72,14 @@ class ShapeDesign:
         Args:
             candidates: See `expected_errors`.
         """
-        now, part = self._gram(self.before).shapes, self._field.parts[self.shapes.order[0]]
-        sizes = self._field.prior.ball()[1][:3]
+        now = self._gram(self.before).shapes
+        center = self._field.index(self.shapes.order[0], *CENTER)
+        sizes = self._field.deviation[center]
         found = np.full(len(candidates), np.inf)
         for k, jacobian in enumerate(candidates):
             if jacobian is not None:
                 precision = now + self._gram(jacobian).shapes + np.eye(self._field.size)
-                variances = np.linalg.inv(precision).diagonal()[part.start : part.start + 3]
+                variances = np.linalg.inv(precision).diagonal()[center]
                 found[k] = float((sizes * np.sqrt(variances)).max())
         return found
 

@@ -21,10 +21,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.inverse.fields import ShapeField
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes import Interval, ShapeReconstruction
-from tactorch.inverse.shapes.field import ShapeField
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.model import Errors, Model
 from tactorch.inverse.shapes.posterior import Normal, ShapePosterior

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from skimage.measure import marching_cubes
 
 from tactorch.inverse import ShapeReconstruction
-from tactorch.inverse.shapes import Ellipsoid
+from tactorch.inverse.shapes import InclusionShape
 
 _POINTS = 40  # of the grid along its longest side
 _DRAWS = 100  # of the posterior
@@ -54,7 +54,9 @@ def lump_surfaces(shapes: ShapeReconstruction) -> list[LumpSurfaces]:
     ]
 
 
-def _surfaces(best: Ellipsoid, draws: Sequence[Ellipsoid], youngs_mpa: float) -> LumpSurfaces:
+def _surfaces(
+    best: InclusionShape, draws: Sequence[InclusionShape], youngs_mpa: float
+) -> LumpSurfaces:
     spans = np.array([_bounds(shape) for shape in (best, *draws)])
     # Few draws may be far larger than the others, and would make the grid coarse.
     low, high = np.quantile(spans[:, 0], 0.02, axis=0), np.quantile(spans[:, 1], 0.98, axis=0)
@@ -65,9 +67,7 @@ def _surfaces(best: Ellipsoid, draws: Sequence[Ellipsoid], youngs_mpa: float) ->
     counts = np.ceil((high - low) / step).astype(int) + 1
     points = low + step * np.indices(counts).reshape(3, -1).T
     inside = np.mean([shape.contains(points) for shape in draws], axis=0).reshape(counts)
-    distance = -best.distance(points).reshape(counts)
-    surface = _level(distance, 0.0, low, step)
-    assert surface is not None
+    surface = Surface(*best.surface())
     inner, outer = (_level(inside, level, low, step) for level in (1.0 - _TAIL, _TAIL))
     return LumpSurfaces(surface, inner, outer, youngs_mpa)
 
@@ -83,6 +83,6 @@ def _level(
     return Surface(low + step * (points.astype(float) - 1.0), triangles.astype(int))
 
 
-def _bounds(shape: Ellipsoid) -> Float[np.ndarray, "2 3"]:
-    half = np.linalg.norm(np.array(shape.semi_axes_mm)[:, None] * np.array(shape.axes), axis=0)
-    return np.array([shape.center_mm - half, shape.center_mm + half])
+def _bounds(shape: InclusionShape) -> Float[np.ndarray, "2 3"]:
+    center = np.array(shape.center_mm)
+    return np.array([center - shape.half_size_mm, center + shape.half_size_mm])

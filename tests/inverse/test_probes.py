@@ -10,8 +10,8 @@ from tactorch.fem import NewtonOptions
 from tactorch.fem.contact import Ball, FlatPunch
 from tactorch.inverse import IncrementalInversion, InverseProblem, NoiseModel, find_shapes
 from tactorch.inverse.data import Observation, group_by_contact
+from tactorch.inverse.fields import FAMILIES, ShapeField, ShapePrior, Sites
 from tactorch.inverse.nuisance import NuisancePrior
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.footprint import Footprint, largest_depth, loaded_nodes
 from tactorch.inverse.shapes.poses import probe_patterns
 from tactorch.inverse.starts import uniform_fit
@@ -197,7 +197,7 @@ def test_an_inclusion_is_found_by_the_forces_of_a_probe() -> None:
     crime = {"inverse_crime": True, "element": "tet4"}
     first = Recording(mesh, presses, MaterialSpec("neo_hookean", 0.4), provenance=crime)
     problem = InverseProblem(first)
-    field = ShapeField(ShapePrior.of(mesh, 0.2), (False,))
+    field = ShapeField(ShapePrior.of(mesh, 0.2), (FAMILIES["ball"],))
     truth = np.array([np.log(0.2), 4.5, 5.5, 6.6, np.log(2.0), np.log(5.0)])
     sites = Sites.of(problem.body.assembly)
     youngs = np.exp(field.log_youngs(field.standard(truth), sites)).reshape(sites.shape)

@@ -9,22 +9,31 @@ import scipy.integrate
 
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.fem import ELEMENTS, NewtonOptions
+from tactorch.inverse.fields import (
+    BALL,
+    ELLIPSOID,
+    FAMILIES,
+    Background,
+    ShapeField,
+    ShapePrior,
+    Sites,
+)
+from tactorch.inverse.fields.inclusion import Parameters
+from tactorch.inverse.fields.sites import samples_around
 from tactorch.inverse.objective import Objective
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.settings import Settings
-from tactorch.inverse.shapes import Ellipsoid, ShapeReconstruction, ShapeState, find_shapes
+from tactorch.inverse.shapes import InclusionShape, ShapeReconstruction, ShapeState, find_shapes
 from tactorch.inverse.shapes import fit as shape_fit
 from tactorch.inverse.shapes.correction import Correction, _LoadSeries
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites, samples_around
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
-from tactorch.inverse.shapes.fractions import Geometry
 from tactorch.inverse.shapes.model import (
     Errors,
     Model,
     Start,
-    as_ellipsoid,
     make_posterior,
     varied,
+    with_family,
     without,
 )
 from tactorch.inverse.shapes.problem import ShapeProblem
@@ -36,8 +45,7 @@ from tactorch.inverse.shapes.sizing import (
     observed_sizing,
     sharp_edge_sizing,
 )
-from tactorch.mesh import Ellipsoid as EllipsoidShape
-from tactorch.mesh import Rotated, box_mesh, face_nodes
+from tactorch.mesh import Ellipsoid, Rotated, box_mesh, face_nodes
 from tactorch.phantoms import make_phantom
 from tactorch.recording import refine_recording
 from tactorch.simulation import PressPlan, simulate
@@ -79,8 +87,8 @@ def sites(problem):
 
 PRIOR = ShapePrior.of(MESH, 0.2)
 VALUES = {
-    False: [np.log(0.2), 5.0, 4.6, 5.7, np.log(2.2), 1.2],
-    True: [np.log(0.2), 5.0, 4.6, 5.7, np.log(2.2), 1.2, 0.2, -0.1, 0.1, -0.2, 0.15],
+    "ball": [np.log(0.2), 5.0, 4.6, 5.7, np.log(2.2), 1.2],
+    "ellipsoid": [np.log(0.2), 5.0, 4.6, 5.7, np.log(2.2), 1.2, 0.2, -0.1, 0.1, -0.2, 0.15],
 }
 
 
@@ -97,10 +105,10 @@ def test_samples_are_evenly_around_the_quadrature_points():
     np.testing.assert_allclose(groups.mean(axis=(0, 1)), 0.25)
 
 
-@pytest.mark.parametrize("distorted", [False, True])
-def test_the_jacobian_is_that_of_the_field(problem, distorted):
-    field = ShapeField(PRIOR, (distorted,))
-    sites, z = Sites.of(problem.body.assembly), field.standard(np.array(VALUES[distorted]))
+@pytest.mark.parametrize("family", VALUES)
+def test_the_jacobian_is_that_of_the_field(problem, family):
+    field = ShapeField(PRIOR, (FAMILIES[family],))
+    sites, z = Sites.of(problem.body.assembly), field.standard(np.array(VALUES[family]))
     jacobian = field.jacobian(z, sites)
     assert np.abs(jacobian).max(axis=0).min() > 1e-2  # else the test shows nothing
     for k, step in enumerate(1e-5 * np.eye(field.size)):
@@ -110,20 +118,20 @@ def test_the_jacobian_is_that_of_the_field(problem, distorted):
 
 def test_the_geometry_of_a_rotated_ellipsoid_is_where_the_shape_is():
     radii, center = np.array([2.0, 1.2, 0.8]), np.array([5.0, 4.0, 6.0])
-    shape = Rotated(EllipsoidShape(tuple(center), tuple(radii)), (20.0, 50.0, -70.0))
+    shape = Rotated(Ellipsoid(tuple(center), tuple(radii)), (20.0, 50.0, -70.0))
     turn = shape.matrix()
-    geometry = Geometry.of(center, turn @ np.diag(np.log(radii)) @ turn.T)
-    assert np.exp(geometry.log_radius) == pytest.approx(np.cbrt(radii.prod()))
+    own = Parameters.of(ELLIPSOID.values(center, turn @ np.diag(np.log(radii)) @ turn.T, 1.0))
+    assert np.exp(own.log_radius) == pytest.approx(np.cbrt(radii.prod()))
     points = center + np.random.default_rng(0).uniform(-2.5, 2.5, (5000, 3))
-    inside = geometry.fraction(points[:, None], np.zeros(len(points)))
+    inside = ELLIPSOID.fraction(own, points[:, None], np.zeros(len(points)))
     np.testing.assert_array_equal(inside > 0.5, shape.contains(points))
     assert inside.mean() == pytest.approx(4.0 / 3.0 * np.pi * radii.prod() / 5.0**3, rel=0.1)
 
 
-@pytest.mark.parametrize("distorted", [False, True])
-def test_the_field_integrates_to_the_volume_of_the_inclusion(problem, distorted):
-    field, assembly = ShapeField(PRIOR, (distorted,)), problem.body.assembly
-    z = field.standard(np.array(VALUES[distorted]))
+@pytest.mark.parametrize("family", VALUES)
+def test_the_field_integrates_to_the_volume_of_the_inclusion(problem, family):
+    field, assembly = ShapeField(PRIOR, (FAMILIES[family],)), problem.body.assembly
+    z = field.standard(np.array(VALUES[family]))
     excess = field.log_youngs(z, Sites.of(assembly)) - np.log(0.2)
     volume = float(excess @ assembly.weights.ravel()) / 1.2
     (shape,) = field.shapes(z)
@@ -131,8 +139,8 @@ def test_the_field_integrates_to_the_volume_of_the_inclusion(problem, distorted)
 
 
 def test_an_ellipsoid_is_where_its_axes_say():
-    field = ShapeField(PRIOR, (True,))
-    z = field.standard(np.array(VALUES[True]))
+    field = ShapeField(PRIOR, (ELLIPSOID,))
+    z = field.standard(np.array(VALUES["ellipsoid"]))
     (shape,) = field.shapes(z)
     axes, semi = np.array(shape.axes), np.array(shape.semi_axes_mm)
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
@@ -146,12 +154,12 @@ def test_an_ellipsoid_is_where_its_axes_say():
 
 
 def test_a_smooth_background_varies_by_its_modes():
-    field = ShapeField(PRIOR, (), degree=2)
+    field = ShapeField(PRIOR, (), Background(degree=2))
     assert field.size == field.n_background == 10
     values = np.zeros(10)
     values[0] = np.log(0.2)
     points = np.random.default_rng(0).uniform(0.0, 10.0, (20, 3))
-    modes = field.modes_at(points)
+    modes = field.background.derivative(PRIOR, points)[:, 1:]
     for k in range(1, 10):
         values[k] = 0.3
         expected = np.log(0.2) + 0.3 * modes[:, k - 1]
@@ -160,13 +168,15 @@ def test_a_smooth_background_varies_by_its_modes():
         shared = np.tile(values, (len(points), 1))
         np.testing.assert_allclose(field.log_background(shared, points), expected)
         values[k] = 0.0
-    along_z = field.modes_at(np.array([[5.0, 5.0, 0.0], [5.0, 5.0, 10.0]]))
+    along_z = field.background.derivative(PRIOR, np.array([[5.0, 5.0, 0.0], [5.0, 5.0, 10.0]]))[
+        :, 1:
+    ]
     assert np.any(np.isclose(along_z[0], 1.0) & np.isclose(along_z[1], -1.0))
 
 
 def test_a_background_of_degree_one_is_linear():
     """Cosines of any degree have no slope at the sides, and inclusions would stand for it."""
-    field = ShapeField(PRIOR, (), degree=1)
+    field = ShapeField(PRIOR, (), Background(degree=1))
     assert field.size == 4
     values = np.array([np.log(0.2), 0.1, -0.2, 0.3])
     points = np.random.default_rng(1).uniform(0.0, 10.0, (30, 3))
@@ -178,29 +188,29 @@ def test_a_background_of_degree_one_is_linear():
 
 
 def test_a_smooth_background_of_an_earlier_version_is_refused():
-    plain = ShapeField(PRIOR, (), degree=2).plain()
+    plain = ShapeField(PRIOR, (), Background(degree=2)).plain()
     del plain["smooth"]
     with pytest.raises(ConfigError, match="earlier version"):
         ShapeField.of(plain)
     plain["degree"] = 0
-    assert ShapeField.of(plain).degree == 0
+    assert ShapeField.of(plain).background.degree == 0
 
 
 def test_layers_are_modes_along_one_axis():
-    layered = ShapeField(PRIOR, (), layers=(0, 0, 3))
-    np.testing.assert_array_equal(layered.waves, [[0, 0, 1], [0, 0, 2], [0, 0, 3]])
-    both = ShapeField(PRIOR, (), degree=2, layers=(0, 0, 3))
+    layered = ShapeField(PRIOR, (), Background(layers=(0, 0, 3)))
+    np.testing.assert_array_equal(layered.background.waves, [[0, 0, 1], [0, 0, 2], [0, 0, 3]])
+    both = ShapeField(PRIOR, (), Background(degree=2, layers=(0, 0, 3)))
     assert both.n_background == 1 + 9 + 3
-    np.testing.assert_array_equal(both.waves[9:], layered.waves)
-    assert ShapeField.of(json.loads(json.dumps(both.plain()))).layers == (0, 0, 3)
+    np.testing.assert_array_equal(both.background.waves[9:], layered.background.waves)
+    assert ShapeField.of(json.loads(json.dumps(both.plain()))).background.layers == (0, 0, 3)
     plain = both.plain()
     del plain["layers"]  # as in files of earlier versions
-    assert ShapeField.of(plain).layers == (0, 0, 0)
+    assert ShapeField.of(plain).background.layers == (0, 0, 0)
 
 
 def test_models_are_changed_without_a_change_of_what_remains():
     """Modes and ellipsoids that are added start at the same map; removals leave the others."""
-    field = ShapeField(PRIOR, (True, False), layers=(0, 0, 3))
+    field = ShapeField(PRIOR, (ELLIPSOID, BALL), Background(layers=(0, 0, 3)))
     rng = np.random.default_rng(0)
     z = 0.3 * rng.standard_normal(field.size)
     sites = Sites.at(rng.uniform(0.0, 10.0, (200, 3)))
@@ -208,12 +218,12 @@ def test_models_are_changed_without_a_change_of_what_remains():
     for other, same in (
         varied(field, z, degree=2),
         varied(field, z, layers=(4, 0, 8)),
-        as_ellipsoid(field, z, 1),
+        with_family(field, z, 1, ELLIPSOID),
     ):
         assert other.size > field.size
         np.testing.assert_allclose(other.log_youngs(same, sites), before, atol=1e-12)
     fewer, rest = without(field, z, [0])
-    assert fewer.distorted == (False,)
+    assert fewer.families == (BALL,)
     first, second = field.shapes(z)
     assert list(fewer.shapes(rest)) == [second]
     outside = ~first.contains(sites.centers)
@@ -228,8 +238,8 @@ def test_other_errors_differ_in_one_respect():
 
 
 def test_distance_and_inside_agree():
-    (shape,) = ShapeField(PRIOR, (True,)).shapes(
-        ShapeField(PRIOR, (True,)).standard(np.array(VALUES[True]))
+    (shape,) = ShapeField(PRIOR, (ELLIPSOID,)).shapes(
+        ShapeField(PRIOR, (ELLIPSOID,)).standard(np.array(VALUES["ellipsoid"]))
     )
     points = np.random.default_rng(1).uniform(0.0, 10.0, (500, 3))
     inside = shape.contains(points)
@@ -239,9 +249,9 @@ def test_distance_and_inside_agree():
 
 @pytest.mark.parametrize("degree", [0, 2])
 def test_residuals_follow_the_parameters(problem, sites, degree):
-    field = ShapeField(PRIOR, (True,), degree)
+    field = ShapeField(PRIOR, (ELLIPSOID,), Background(degree))
     objective = Objective(problem, ShapesOnSites(field, sites), weight=1.0)
-    values = VALUES[True]
+    values = VALUES["ellipsoid"]
     modes = [0.1] * (field.n_background - 1)
     z = field.standard(np.array([values[0], *modes, *values[1:]]))
     point = objective.at(z)
@@ -318,7 +328,7 @@ def test_a_search_continues_from_the_model_of_other_presses(recording, found):
 def test_a_start_that_the_presses_contradict_is_removed(uniform_recording):
     """A ball of an earlier search is not kept where further presses show none."""
     nothing = find_shapes(uniform_recording, max_shapes=2)
-    field = replace(nothing.field, distorted=(False,))
+    field = replace(nothing.field, families=(BALL,))
     values = np.array([np.log(0.2), 4.0, 5.0, 6.0, np.log(2.0), np.log(2.0)])
     ball = replace(nothing, field=field, z=field.standard(values))
     result = find_shapes(uniform_recording, max_shapes=2, start=ball)
@@ -334,7 +344,7 @@ def test_a_background_that_varies_gives_way_to_inclusions(recording, found):
     start = ShapeState(field, z, 0.0, 0.001, 0.0)
     result = find_shapes(recording, max_shapes=1, start=start)
     assert result.history[1]["model"] == "uniform background"
-    assert result.field.degree == 0
+    assert result.field.background.degree == 0
     assert len(result.inclusions) == 1
 
 
@@ -342,11 +352,11 @@ def test_a_search_starts_from_a_uniform_body_rather_than_from_a_background_alone
     uniform_recording,
 ):
     problem = ShapeProblem(uniform_recording, Settings())
-    field = ShapeField(problem.prior, degree=2)
+    field = ShapeField(problem.prior, background=Background(degree=2))
     state = ShapeState(field, np.full(field.size, 0.5), 0.0, 0.001, 0.0)
     model, history = _first(problem, state)
     assert history[0]["model"] == "uniform"
-    assert model.fit.field.degree == 0
+    assert model.fit.field.background.degree == 0
 
 
 def test_a_search_can_be_stopped(recording):
@@ -377,7 +387,7 @@ def test_a_stopped_search_goes_on_from_what_it_reached(recording):
     with pytest.raises(CancelledError) as stopped:
         find_shapes(recording, max_shapes=1, stop=stop)
     reached = stopped.value.reached
-    assert reached.field.distorted == expected.field.distorted == (False,)
+    assert reached.field.families == expected.field.families == (BALL,)
     rest = []
     result = find_shapes(
         recording, max_shapes=1, start=reached, stop=lambda: bool(rest.append(None))
@@ -406,7 +416,7 @@ def test_layers_are_no_inclusions():
     recording = simulate(phantom, PLAN, mesh=MESH, fine_mesh=fine, element="tet10", snr_db=40.0)
     result = find_shapes(recording, max_shapes=2)
     assert result.inclusions == []
-    assert result.field.layers == (0, 0, 8)
+    assert result.field.background.layers == (0, 0, 8)
     heights = np.linspace(0.3, 9.7, 50)
     points = np.column_stack([np.full((50, 2), 5.0), heights])
     assert np.corrcoef(result.youngs_at(points), phantom.youngs_at(points))[0, 1] > 0.9
@@ -480,8 +490,8 @@ def test_a_correction_that_fails_leaves_the_model(recording, monkeypatch, caplog
 
 
 def test_the_optimum_is_one_step_beyond_the_last_evaluated_parameters(problem, sites):
-    field = ShapeField(PRIOR, (False,))
-    start = field.standard(np.array(VALUES[False]))
+    field = ShapeField(PRIOR, (BALL,))
+    start = field.standard(np.array(VALUES["ball"]))
     close, _ = fit_shapes(problem, field, start, sites=sites, tolerance=1e-6)
     deviations = np.sqrt(np.diag(close.covariance))
     shift = 0.6 * close.covariance[:, -1] / deviations[-1]  # a predicted fall of 0.18
@@ -495,8 +505,8 @@ def test_the_optimum_is_one_step_beyond_the_last_evaluated_parameters(problem, s
 
 
 def test_a_step_that_does_not_lower_the_objective_is_not_added(problem, sites, monkeypatch):
-    field = ShapeField(PRIOR, (False,))
-    start = field.standard(np.array(VALUES[False]))
+    field = ShapeField(PRIOR, (BALL,))
+    start = field.standard(np.array(VALUES["ball"]))
     rough, _ = fit_shapes(problem, field, start, sites=sites, tolerance=0.4)
     assert (rough.optimum != rough.z).any()
     monkeypatch.setattr(shape_fit._State, "moved", lambda *args: None)
@@ -521,7 +531,7 @@ def test_displacements_at_other_parameters_are_linearised(recording):
 
 
 def test_meshes_are_refined_at_inclusions_and_small_contacts(recording):
-    ball = Ellipsoid((5.0, 5.0, 5.0), (2.0,) * 3, tuple(map(tuple, np.eye(3))), 5.0)
+    ball = InclusionShape((5.0, 5.0, 5.0), (2.0,) * 3, tuple(map(tuple, np.eye(3))), 5.0)
     lengths = inclusion_sizing([ball])(np.array([[5.0, 5.0, 7.1], [5.0, 5.0, 5.0], [5, 5, 9.0]]))
     assert lengths[0] < 1.1 < lengths[2]
     assert lengths[0] < lengths[1]
@@ -575,7 +585,7 @@ def test_whole_sides_are_corrected_at_sharp_edges_and_inclusions(recording):
     prior = ShapePrior.of(recording.mesh, 0.2)
     uniform, evaluation = fit_shapes(problem, ShapeField(prior), np.zeros(1), max_iterations=0)
     edges = np.linalg.norm(correction.offsets(uniform, evaluation)[1])
-    field = ShapeField(prior, (False,))
+    field = ShapeField(prior, (BALL,))
     values = np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.5), np.log(5.0)])
     ball, evaluation = fit_shapes(problem, field, field.standard(values), max_iterations=0)
     low, high = (np.linalg.norm(o) for o in correction.offsets(ball, evaluation)[:2])
@@ -585,16 +595,16 @@ def test_whole_sides_are_corrected_at_sharp_edges_and_inclusions(recording):
 
 def test_the_posterior_of_a_ball_is_that_of_an_ellipsoid(recording):
     presses = ShapeProblem(recording, Settings())
-    field = ShapeField(presses.prior, (False,))
+    field = ShapeField(presses.prior, (BALL,))
     values = np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.5), np.log(5.0)])
     problem = presses.quadratic.with_data(presses.data(Errors(0.0, 0.002)))
     fit, evaluation = fit_shapes(
         problem, field, field.standard(values), sites=presses.sites, max_iterations=0
     )
     posterior = make_posterior(Model(fit, evaluation, Errors(0.0, 0.002)), presses.sites)
-    assert posterior.field.distorted == (True,)
+    assert posterior.field.families == (ELLIPSOID,)
     assert posterior.covariance[4, 4] > 1.02 * fit.covariance[4, 4] * max(1.0, fit.chi2)
-    other = replace(field, distorted=(True,))
+    other = replace(field, families=(ELLIPSOID,))
     z = other.standard(np.concatenate([values, np.zeros(5)]))
     np.testing.assert_array_equal(posterior.z, z)
     full, _ = fit_shapes(problem, other, z, sites=presses.sites, max_iterations=0)
@@ -627,7 +637,7 @@ def test_sharp_edges_and_surfaces_near_inclusions_have_short_edges():
     lengths = sharp_edge_sizing(MESH)(np.array([[0.0, 5.0, 10.0], [5.0, 5.0, 10.0]]))
     assert lengths[0] < 0.7
     assert lengths[1] > 4.0
-    ball = Ellipsoid((5.0, 5.0, 7.0), (2.0,) * 3, tuple(map(tuple, np.eye(3))), 5.0)
+    ball = InclusionShape((5.0, 5.0, 7.0), (2.0,) * 3, tuple(map(tuple, np.eye(3))), 5.0)
     top = MESH.points[face_nodes(MESH, "z+")]
     sizing = observed_sizing(top, [ball])
     lengths = sizing(np.array([[5.0, 5.0, 10.0], [5.0, 5.0, 8.0]]))
@@ -645,7 +655,7 @@ def test_corrections_hold_at_inclusions():
         mesh=box_mesh(10.0, 4, tets_per_cell=5),
         element="tet10",
     )
-    field = ShapeField(ShapePrior.of(recording.mesh, 0.2), (False,))
+    field = ShapeField(ShapePrior.of(recording.mesh, 0.2), (BALL,))
     z = field.standard(np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.2), np.log(5.0)]))
     problem = InverseProblem(recording, element="tet10")
     fit, before = fit_shapes(problem, field, z, max_iterations=0)

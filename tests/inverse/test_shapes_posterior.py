@@ -5,20 +5,20 @@ import json
 import numpy as np
 import pytest
 
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.inverse.fields import BALL, ELLIPSOID, ShapeField, ShapePrior
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import box_mesh
 
 PRIOR = ShapePrior.of(box_mesh(10.0, 3), 0.2)
-FIELD = ShapeField(PRIOR, (False, True))
+FIELD = ShapeField(PRIOR, (BALL, ELLIPSOID))
 
 
 def parameters(contrast: float, field: ShapeField = FIELD) -> np.ndarray:
     """Return inclusions of 2 mm radius and one contrast."""
     parts = [np.array([np.log(0.2)])]
-    for distorted in field.distorted:
+    for family in field.families:
         ball = [5.0, 5.0, 6.0, np.log(2.0), np.log(contrast)]
-        parts.append(np.array([*ball, *[0.1] * (5 * distorted)]))
+        parts.append(np.array([*ball, *[0.1] * len(family.distortions)]))
     return field.standard(np.concatenate(parts))
 
 
@@ -40,7 +40,7 @@ def test_small_deviations_are_those_of_the_covariance(contrast):
 
 
 def test_a_radius_may_be_further_below_than_above():
-    field = ShapeField(PRIOR, (False,))
+    field = ShapeField(PRIOR, (BALL,))
     z = parameters(0.4, field)
     index = field.parts[0].start + 3
     covariance = 1e-6 * np.eye(len(z))

@@ -7,14 +7,13 @@ from itertools import product
 import numpy as np
 import pytest
 
-from tactorch.inverse.shapes import strength
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.inverse.fields import BALL, ShapeField, ShapePrior, strength
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.inverse.shapes.ridges import Ridge, RidgePoint, basis_across
 from tactorch.mesh import box_mesh
 
 PRIOR = ShapePrior.of(box_mesh(10.0, 3), 0.2)
-BALL = ShapeField(PRIOR, (False,))
+FIELD = ShapeField(PRIOR, (BALL,))
 CENTER = [np.log(0.2), 5.0, 5.0, 6.0]
 
 
@@ -41,7 +40,7 @@ class FarField:
         return linear
 
     def residuals(self, z: np.ndarray) -> np.ndarray:
-        return (self._linear(BALL.physical(z)) - self._best) / self._scale
+        return (self._linear(FIELD.physical(z)) - self._best) / self._scale
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
         steps = 1e-5 * np.eye(6)
@@ -79,13 +78,13 @@ class FarField:
         ridge = Ridge.through(start, others, 0, self.direction)
         jacobian = self.jacobian(best)
         covariance = np.linalg.inv(jacobian.T @ jacobian + np.eye(6))
-        return ShapePosterior(BALL, best, np.zeros(6), covariance, (ridge,))
+        return ShapePosterior(FIELD, best, np.zeros(6), covariance, (ridge,))
 
     def _start(self) -> np.ndarray:
         values = self._best.copy()
         values[3] -= 0.05 * values[5]
         values[4:6] = strength.to_logs(values[4:6])
-        return BALL.standard(values)
+        return FIELD.standard(values)
 
     def exact(self, levels: list[float]) -> tuple[np.ndarray, np.ndarray]:
         """Return quantiles of log-radius and log-contrast with Jeffreys' prior, by a grid.
@@ -171,7 +170,7 @@ def test_the_point_of_linearisation_needs_not_be_the_best():
     jacobian, residuals = STIFF.jacobian(point.z), STIFF.residuals(point.z)
     covariance = np.linalg.inv(jacobian.T @ jacobian + np.eye(6))
     step = -covariance @ (jacobian.T @ residuals + point.z)
-    moved = ShapePosterior(BALL, point.z, step, covariance, (other,))
+    moved = ShapePosterior(FIELD, point.z, step, covariance, (other,))
     expected = np.quantile(posterior.samples(4_000)[:, 5], LEVELS)
     found = np.quantile(moved.samples(4_000)[:, 5], LEVELS)
     np.testing.assert_allclose(found, expected, atol=0.05 * np.ptp(expected))
@@ -225,7 +224,7 @@ def embedded(ridge: Ridge, rows: np.ndarray, best: np.ndarray, rest: np.ndarray)
 def test_two_inclusions_have_a_ridge_each():
     """The samples of each are those that it has alone, up to the background that they share."""
     one, two = STIFF.posterior(), FarField(2.5, 0.3, (1.5, 0.5)).posterior()
-    field = ShapeField(PRIOR, (False, False))
+    field = ShapeField(PRIOR, (BALL, BALL))
     first, second = np.arange(6), np.arange(6, 11)
     best, covariance = np.r_[one.z, two.z[1:]], np.zeros((11, 11))
     covariance[:6, :6], covariance[6:, 6:] = one.covariance, two.covariance[1:, 1:]

@@ -10,9 +10,9 @@ from tactorch.fem import Discretisation
 from tactorch.fem.elements import ELEMENTS
 from tactorch.files import write_json
 from tactorch.inverse import Settings
+from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.shapes.correction import Correction
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.fit import fit_shapes
 from tactorch.inverse.shapes.kept import KeptRims
 from tactorch.inverse.shapes.model import (
@@ -119,7 +119,7 @@ def test_errors_at_rims_are_kept_while_the_moduli_there_remain(recording, proble
     prior = ShapePrior.of(recording.mesh, 0.2)
 
     def last_change(*values):
-        field = ShapeField(prior, (False,) * (len(values) > 1))
+        field = ShapeField(prior, (BALL,) * (len(values) > 1))
         z = field.standard(np.array(values))
         fit, before = fit_shapes(problem, field, z, max_iterations=0)
         # A correction of a later search, which shares what is kept.

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactorch.inverse.shapes import strength
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.inverse.fields import BALL, ELLIPSOID, ShapeField, ShapePrior, strength
 from tactorch.mesh import box_mesh
 
 LOGS = st.tuples(st.floats(-2.0, 4.0), st.floats(-4.0, 4.0)).map(np.array)
@@ -42,7 +41,7 @@ def test_steps_are_those_of_the_logarithms_to_first_order(logs, step):
 
 
 def test_a_step_of_a_field_keeps_the_other_parameters():
-    field = ShapeField(ShapePrior.of(box_mesh(10.0, 3), 0.2), (False, True))
+    field = ShapeField(ShapePrior.of(box_mesh(10.0, 3), 0.2), (BALL, ELLIPSOID))
     rng = np.random.default_rng(0)
     z, step = 0.3 * rng.standard_normal((2, field.size))
     moved, logs = field.moved(z, 0.6 * step), [4, 5, 9, 10]

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.inverse.fields import BALL, ELLIPSOID, ShapeField, ShapePrior
 from tactorch.inverse.shapes.fit import ShapeFit
-from tactorch.inverse.shapes.fractions import Geometry
 from tactorch.inverse.shapes.matched import Balls, Candidate
 from tactorch.inverse.shapes.model import with_ball
 from tactorch.inverse.shapes.smooth_errors import (
@@ -94,7 +93,7 @@ def test_a_rod_starts_as_an_ellipsoid_of_its_length_and_width() -> None:
     half = 15.0 * np.array([0.6, 0.8, 0.0])
     what, longer, z = with_ball(fit, Candidate(np.array([3.0, 2.0, 1.0]), 3.0, 0.8, 50.0, half))
     assert what == "rod at [3.0, 2.0, 1.0] mm"
-    assert longer.distorted == (True,)
+    assert longer.families == (ELLIPSOID,)
     (shape,) = longer.shapes(z)
     assert shape.semi_axes_mm == pytest.approx((18.0, 3.0, 3.0))
     assert abs(np.array(shape.axes[0]) @ half) == pytest.approx(15.0)
@@ -105,14 +104,13 @@ def test_inclusions_are_kept_in_the_object() -> None:
     mesh = box_mesh((60.0, 40.0, 20.0), (6, 4, 2), tets_per_cell=5)
     low, high = mesh.bounds
     prior = replace(ShapePrior.of(mesh, 0.1), outside_mm=2.0)
-    field = ShapeField(prior, (True, False))
+    field = ShapeField(prior, (ELLIPSOID, BALL))
     # An ellipsoid of 14 x 3.5 x 3.5 mm along z, 1 mm above the middle, and a ball that touches y+.
     middle = 0.5 * (low + high)
     rod = [*middle[:2], middle[2] + 1.0]
     stretch = np.diag(np.log([3.5, 3.5, 14.0]))
-    geometry = Geometry.of(np.array(rod), stretch)
     ball = [middle[0], high[1] - 5.0, middle[2], np.log(5.0), 1.0]
-    values = np.array([np.log(0.1), *rod, geometry.log_radius, 1.0, *geometry.distortions, *ball])
+    values = np.array([np.log(0.1), *ELLIPSOID.values(np.array(rod), stretch, 1.0), *ball])
     z = field.standard(values)
     excess = field.excess(z).reshape(2, 2, 3)
     np.testing.assert_allclose(excess[0, 0], [0.0, 0.0, 2.5], atol=1e-9)  # (1 + 14 - 10) / 2
@@ -123,7 +121,7 @@ def test_inclusions_are_kept_in_the_object() -> None:
     slope = field.excess_jacobian(z)[:, 3].reshape(2, 2, 3)
     quotient = (field.excess(z + step) - field.excess(z)).reshape(2, 2, 3) / 1e-3
     np.testing.assert_allclose(slope[0, :, 2], quotient[0, :, 2], rtol=1e-5)
-    free = ShapeField(replace(prior, outside_mm=None), (True, False))
+    free = ShapeField(replace(prior, outside_mm=None), (ELLIPSOID, BALL))
     assert len(free.excess(z)) == 0
     assert free.excess_jacobian(z).shape == (0, field.size)
     assert ShapePrior.of_plain(prior.plain()).outside_mm == 2.0

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, TactorchError
-from tactorch.inverse.shapes import Ellipsoid, Interval, ShapeInclusion
+from tactorch.inverse.shapes import InclusionShape, Interval, ShapeInclusion
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.reproduce import EXHIBITS, depths, recognition, reproduce, sizes
@@ -140,7 +140,8 @@ def test_the_ball_is_the_surest_hard_shape(monkeypatch, count):
     recording = simulate(make_phantom("uniform_cube"), PressPlan(("z+",), (0.01,)), mesh=mesh)
 
     def inclusion(youngs_mpa, probability, x):
-        shape = Ellipsoid((x, 5.0, 7.0), (2.0,) * 3, tuple(map(tuple, np.eye(3))), youngs_mpa / 4)
+        axes = tuple(map(tuple, np.eye(3)))
+        shape = InclusionShape((x, 5.0, 7.0), (2.0,) * 3, axes, youngs_mpa / 4)
         interval = Interval(1.0, 2.0)
         return ShapeInclusion(
             shape, youngs_mpa, 4.0, (0.1,) * 3, interval, interval, interval, probability

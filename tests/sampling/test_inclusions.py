@@ -12,9 +12,9 @@ import pytest
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.files import read_arrays, write_arrays
 from tactorch.inverse import Settings, Status
+from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.result.text import describe
 from tactorch.inverse.shapes import KeptRims, ShapeReconstruction
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
@@ -28,7 +28,7 @@ Stop = Callable[[], bool]
 
 def shapes_of(recording: Recording, radius_mm: float) -> ShapeReconstruction:
     """A ball of 0.8 MPa in 0.2 MPa, below the middle of the side z+."""
-    field = ShapeField(ShapePrior.of(recording.mesh, 0.2), (False,))
+    field = ShapeField(ShapePrior.of(recording.mesh, 0.2), (BALL,))
     values = [np.log(0.2), 5.0, 5.0, 6.0, np.log(radius_mm), np.log(4.0)]
     z = field.standard(np.array(values))
     posterior = ShapePosterior(field, z, np.zeros(len(z)), 4e-4 * np.eye(len(z)))

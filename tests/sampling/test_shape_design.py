@@ -8,9 +8,9 @@ import pytest
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import InverseProblem
+from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.parameterization import Log
 from tactorch.inverse.shapes import ShapeReconstruction
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
@@ -25,7 +25,7 @@ CENTER = (3.0, 5.0, 7.0)  # of the ball
 
 def shapes_of(*balls: tuple[float, ...]) -> ShapeReconstruction:
     """Balls (x, y, z, log-radius, log-contrast) in 0.2 MPa."""
-    field = ShapeField(ShapePrior.of(MESH, 0.2), (False,) * len(balls))
+    field = ShapeField(ShapePrior.of(MESH, 0.2), (BALL,) * len(balls))
     z = field.standard(np.concatenate([[np.log(0.2)], *balls]))
     posterior = ShapePosterior(field, z, np.zeros(len(z)), np.eye(len(z)))
     return ShapeReconstruction(field, z, posterior, 1.0, (50.0,) * len(balls), 50.0)

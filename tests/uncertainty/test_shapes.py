@@ -9,9 +9,9 @@ from scipy.stats import genpareto
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse import InverseProblem, Settings
+from tactorch.inverse.fields import BALL, ELLIPSOID, ShapeField, ShapePrior
 from tactorch.inverse.shapes import ShapeReconstruction
 from tactorch.inverse.shapes.correction import Correction
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.model import MIN_GAIN, Errors, Model, Start, gain, make_posterior
 from tactorch.inverse.shapes.posterior import ShapePosterior
@@ -27,7 +27,7 @@ from tactorch.uncertainty.shapes import _ExactPosterior, sample_posterior
 
 MESH = box_mesh(10.0, 3, tets_per_cell=5)
 PRIOR = ShapePrior.of(MESH, 0.2)
-BALL = ShapeField(PRIOR, (False,))
+FIELD = ShapeField(PRIOR, (BALL,))
 VALUES = np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.5), np.log(5.0)])
 QUANTITIES = ("E", "R", "x", "y", "z")
 
@@ -38,7 +38,7 @@ def recording():
     plan = PressPlan(("z+", "x+"), (0.02,))
     uniform = simulate(make_phantom("uniform_cube"), plan, mesh=MESH, element="tet10")
     problem = InverseProblem(uniform, element="tet10")
-    _, evaluation = fit_shapes(problem, BALL, BALL.standard(VALUES), max_iterations=0)
+    _, evaluation = fit_shapes(problem, FIELD, FIELD.standard(VALUES), max_iterations=0)
     rng, presses = np.random.default_rng(0), []
     for press, reported in zip(uniform.presses, evaluation.reported, strict=True):
         predicted = np.where(press.observed, reported[: MESH.n_points], press.displacement)
@@ -57,7 +57,7 @@ def reconstruct(presses: ShapeProblem, model: Model) -> ShapeReconstruction:
 @pytest.fixture(scope="module")
 def result(recording):
     presses = ShapeProblem(recording, Settings())
-    field = ShapeField(presses.prior, (False,))
+    field = ShapeField(presses.prior, (BALL,))
     fit = fit_shapes(presses.quadratic, field, field.standard(VALUES), sites=presses.sites)
     return reconstruct(presses, Model(*fit, presses.least_errors))
 
@@ -111,7 +111,7 @@ def uncertain(recording):
 
 def fitted_ball(presses):
     problem = ShapeProblem(presses, Settings())
-    field = ShapeField(problem.prior, (False,))
+    field = ShapeField(problem.prior, (BALL,))
     fit = fit_shapes(problem.quadratic, field, field.standard(VALUES), sites=problem.sites)
     return presses, problem, Model(*fit, problem.least_errors)
 
@@ -120,7 +120,7 @@ def test_the_ridge_has_the_optima_of_held_parameters(uncertain):
     _, problem, model = uncertain
     final, posterior = final_posterior(problem, model)
     assert final is model
-    assert posterior.field.distorted == (True,)
+    assert posterior.field.families == (ELLIPSOID,)
     (ridge,) = posterior.ridges
     assert 5 <= len(ridge.points) <= 9
     heights = np.array([point.height for point in ridge.points])
@@ -161,7 +161,7 @@ def test_a_held_direction_remains(uncertain):
 def test_a_ball_with_a_saturated_contrast_may_be_an_ellipsoid(recording):
     """The presses are of an ellipsoid; the ball that is nearest to it is accepted before."""
     problem = InverseProblem(recording, element="tet10")
-    field = ShapeField(PRIOR, (True,))
+    field = ShapeField(PRIOR, (ELLIPSOID,))
     z = field.standard(np.r_[VALUES, 0.3, -0.3, 0.2, 0.0, 0.2])
     _, evaluation = fit_shapes(problem, field, z, max_iterations=0)
     exact = [
@@ -170,7 +170,7 @@ def test_a_ball_with_a_saturated_contrast_may_be_an_ellipsoid(recording):
     ]
     _, shapes, ball = fitted_ball(noisy(replace(recording, presses=tuple(exact)), 8.0))
     final, posterior = final_posterior(shapes, ball)
-    assert final.fit.field.distorted == (True,)
+    assert final.fit.field.families == (ELLIPSOID,)
     assert gain(final.fit, ball.fit) > MIN_GAIN
     assert posterior.field is final.fit.field
 
@@ -269,7 +269,7 @@ def test_the_predictions_are_those_of_the_search(recording, monkeypatch):
     other = replace(recording, provenance={})
     presses = ShapeProblem(other, Settings())
     displacements = presses.uniform().evaluation.displacements
-    field = ShapeField(presses.prior, (False,))
+    field = ShapeField(presses.prior, (BALL,))
     start = Start("ball", field, field.standard(VALUES), Errors(0.02, 0.002))
     model = presses.final(presses.fit(start, displacements))
     result = reconstruct(presses, model)
@@ -311,7 +311,7 @@ def test_draws_without_equilibrium_have_no_weight(recording, result, monkeypatch
         sample_posterior(result.posterior, lambda z: -np.inf, 5)
 
 
-def skewed(contrast: float, size: float = 0.3, field: ShapeField = BALL) -> ShapePosterior:
+def skewed(contrast: float, size: float = 0.3, field: ShapeField = FIELD) -> ShapePosterior:
     """Return a posterior whose radius and contrast are uncertain, with correlations."""
     z = field.standard(np.array([*VALUES[:5], np.log(contrast), *[0.1] * (field.size - 6)]))
     root = np.random.default_rng(2).standard_normal((field.size, field.size))
@@ -321,16 +321,16 @@ def skewed(contrast: float, size: float = 0.3, field: ShapeField = BALL) -> Shap
 
 def uncertain_radius(contrast: float, size: float, others: float = 0.05) -> ShapePosterior:
     """Return a posterior in which radius and contrast are correlated with each other only."""
-    z = BALL.standard(np.array([*VALUES[:5], np.log(contrast)]))
+    z = FIELD.standard(np.array([*VALUES[:5], np.log(contrast)]))
     covariance = np.diag(np.r_[np.full(4, others), size, size] ** 2)
     covariance[4, 5] = covariance[5, 4] = -0.5 * size**2
-    return ShapePosterior(BALL, z, np.array([0.1, 0, 0, 0, 0.1 * size, -0.2 * size]), covariance)
+    return ShapePosterior(FIELD, z, np.array([0.1, 0, 0, 0, 0.1 * size, -0.2 * size]), covariance)
 
 
 POSTERIORS = {
     "soft": skewed(0.3),
     "stiff": skewed(5.0),
-    "ellipsoid": skewed(2.0, 0.15, ShapeField(PRIOR, (True,))),
+    "ellipsoid": skewed(2.0, 0.15, ShapeField(PRIOR, (ELLIPSOID,))),
     "logarithms": skewed(5.0, 8.0),
 }
 
@@ -401,7 +401,7 @@ def test_the_limit_of_k_falls_with_the_number_of_draws():
 
     def samples(logs):
         logs = logs - np.log(np.exp(logs).sum())
-        return ShapeSamples(BALL, np.zeros((len(logs), BALL.size)), logs, (0,))
+        return ShapeSamples(FIELD, np.zeros((len(logs), FIELD.size)), logs, (0,))
 
     many = samples(weights)
     assert many.reliable
@@ -416,7 +416,7 @@ def test_the_limit_of_k_falls_with_the_number_of_draws():
 
 
 def test_inclusions_are_in_the_order_of_the_result():
-    field = ShapeField(PRIOR, (False, False))
+    field = ShapeField(PRIOR, (BALL, BALL))
     second = [4.0, 5.0, 6.0, np.log(1.5), 0.7]
     z = field.standard(np.array([*VALUES, *second]))
     posterior = ShapePosterior(field, z, np.zeros(11), 1e-6 * np.eye(11))

@@ -14,7 +14,7 @@ from tactorch.display import Displayed
 from tactorch.errors import ConfigError
 from tactorch.fem.contact import Ball
 from tactorch.inverse import Reconstruction, ShapeReconstruction
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
+from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.phantoms import Phantom
@@ -51,7 +51,7 @@ def result(recording: Recording, mesh: TetMesh) -> Reconstruction:
 
 @pytest.fixture(scope="module")
 def shapes(mesh: TetMesh) -> ShapeReconstruction:
-    field = ShapeField(ShapePrior.of(mesh, 0.2), (False,))
+    field = ShapeField(ShapePrior.of(mesh, 0.2), (BALL,))
     z = field.standard(np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.0), np.log(5.0)]))
     posterior = ShapePosterior(field, z, np.zeros(field.size), 1e-4 * np.eye(field.size))
     return ShapeReconstruction(field, z, posterior, 1.0, (9.0,), 9.0)

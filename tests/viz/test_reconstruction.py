@@ -7,15 +7,15 @@ import pytest
 
 from tactorch.errors import TactorchError
 from tactorch.inverse import Reconstruction
+from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.shapes import ShapeReconstruction
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import box_mesh
 from tactorch.viz import reconstruction_figure
 from tactorch.viz.lump_surfaces import lump_surfaces
 
 MESH = box_mesh(10.0, 3, tets_per_cell=5)
-FIELD = ShapeField(ShapePrior.of(MESH, 0.2), (False,))
+FIELD = ShapeField(ShapePrior.of(MESH, 0.2), (BALL,))
 CENTER = np.array([3.0, 5.0, 6.0])
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.inverse.shapes import Ellipsoid
+from tactorch.inverse.shapes import InclusionShape
 
 _MIN_RATIO = 2.0  # of the longest semi-axis to the next one
 
@@ -25,8 +25,8 @@ class Elongation:
     direction: Float[np.ndarray, "3"]
 
     @staticmethod
-    def of(shape: Ellipsoid) -> "Elongation | None":
-        """Return the elongation of an ellipsoid; None if it is not twice as long as wide."""
+    def of(shape: InclusionShape) -> "Elongation | None":
+        """Return the elongation of a shape; None if it is not twice as long as wide."""
         longest, second, third = shape.semi_axes_mm
         if longest < _MIN_RATIO * second:
             return None

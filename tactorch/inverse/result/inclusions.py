@@ -1,12 +1,10 @@
 """Lumps of inclusions that were fitted to the presses, and what the presses say beside them."""
 
 import numpy as np
-from jaxtyping import Float
 
 from tactorch.inverse.palpation import is_palpation
 from tactorch.inverse.result.elongation import Elongation
 from tactorch.inverse.result.lump import Confidence, Lump, measure_depth
-from tactorch.inverse.shapes.field import Ellipsoid
 from tactorch.inverse.shapes.result import ShapeInclusion, ShapeReconstruction
 from tactorch.metrics import Inclusion
 from tactorch.recording import Recording
@@ -85,10 +83,4 @@ def _lump(recording: Recording, found: ShapeInclusion) -> Lump:
         found.youngs_90_mpa,
     )
     depth = measure_depth(mesh, recording.presses, center, inside)
-    return Lump(inclusion, _extent(shape), depth, confidence, Elongation.of(shape))
-
-
-def _extent(shape: Ellipsoid) -> Float[np.ndarray, "3"]:
-    """Size along x, y and z, mm."""
-    half = np.array(shape.semi_axes_mm)[:, None] * np.array(shape.axes)
-    return 2.0 * np.linalg.norm(half, axis=0)
+    return Lump(inclusion, 2.0 * shape.half_size_mm, depth, confidence, Elongation.of(shape))

@@ -23,8 +23,8 @@ from jaxtyping import Bool, Float, Int
 from tactorch.fem import NewtonOptions
 from tactorch.fem.transfer import Transfer
 from tactorch.inverse.data import NoiseModel, group_by_contact
+from tactorch.inverse.fields import InclusionShape, Sites
 from tactorch.inverse.problem import Evaluation, InverseProblem, make_body
-from tactorch.inverse.shapes.field import Ellipsoid, Sites
 from tactorch.inverse.shapes.fit import ShapeFit
 from tactorch.inverse.shapes.footprint import loaded_nodes
 from tactorch.inverse.shapes.kept import KeptRims, RimError, press_key
@@ -210,7 +210,7 @@ class Correction:
                         offsets[i] += change
         return offsets
 
-    def _plan(self, shapes: Sequence[Ellipsoid]) -> tuple[list[_FinerMesh], list[int]]:
+    def _plan(self, shapes: Sequence[InclusionShape]) -> tuple[list[_FinerMesh], list[int]]:
         """Return the meshes that are fine at the inclusions, and the contacts with rim errors.
 
         A contact near an inclusion, which needs smaller elements there, has a mesh that is also
@@ -351,7 +351,7 @@ class _Model:
     evaluation: Evaluation
 
     @cached_property
-    def shapes(self) -> list[Ellipsoid]:
+    def shapes(self) -> list[InclusionShape]:
         """The inclusions."""
         return list(self.fit.field.shapes(self.fit.z))
 

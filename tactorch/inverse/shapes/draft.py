@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from tactorch.errors import ConvergenceError
 from tactorch.fem import NewtonOptions, SoftBody
+from tactorch.inverse.fields import ShapeField, ShapePrior
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.draft_errors import (
@@ -26,7 +27,6 @@ from tactorch.inverse.shapes.draft_errors import (
     with_errors,
 )
 from tactorch.inverse.shapes.draft_search import DraftSearch, best_model
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.matched import Balls, MatchedFilter
 from tactorch.inverse.shapes.result import ShapeReconstruction
 from tactorch.inverse.starts import uniform_fit
@@ -88,13 +88,11 @@ class DraftShapes:
         """
         search = self._prepare(recording, stop)
         models = [search.fitted(ShapeField(search.prior), self._uniform_z(search, start))]
-        if start is not None and start.field.distorted:
+        if start is not None and start.field.families:
             with suppress(ConvergenceError):
-                field = replace(start.field, prior=search.prior)
-                z = field.standard(start.field.physical(start.z))
-                models.append(search.fitted(field, z))
+                models.append(search.fitted(*start.field.changed(start.z, prior=search.prior)))
         best = best_model(models)
-        while len(best.fit.field.distorted) < self._options.max_shapes:
+        while len(best.fit.field.families) < self._options.max_shapes:
             further = search.further(best)
             if best_model([best, *further]) is best:
                 break
@@ -106,7 +104,7 @@ class DraftShapes:
         """Return the parameter of the background from which the uniform body is fitted."""
         if start is None:
             return np.zeros(1)
-        log = start.field.physical(start.z)[0]
+        log = start.field.log_level(start.z)
         return ShapeField(search.prior).standard(np.array([log]))
 
     def _prepare(self, recording: Recording, stop: Callable[[], bool]) -> DraftSearch:

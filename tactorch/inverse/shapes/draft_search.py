@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import CancelledError, ConvergenceError
+from tactorch.inverse.fields import CENTER, ShapeField, ShapePrior, Sites
 from tactorch.inverse.problem import Evaluation, InverseProblem
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, fit_shapes
 from tactorch.inverse.shapes.matched import MatchedFilter
 from tactorch.inverse.shapes.model import (
@@ -82,16 +82,15 @@ class DraftSearch:
 
     def result(self, model: Model, uniform: Model, pose_mm: float) -> ShapeReconstruction:
         """Return a model with its posterior, and the evidence of its balls."""
-        fit, count = model.fit, len(model.fit.field.distorted)
+        fit, count = model.fit, len(model.fit.field.families)
         odds = [self._log_odds(model, uniform, k) for k in range(count)]
         inflation = max(1.0, fit.chi2)
         any_odds = fit.log_evidence(inflation) - uniform.fit.log_evidence(inflation)
         posterior = make_posterior(model, self._sites)
         covariance = posterior.covariance.copy()
-        added = (pose_mm / self.prior.ball()[1][:3]) ** 2  # centres come first
-        for part in posterior.field.parts:
-            center = np.arange(part.start, part.start + 3)
-            covariance[center, center] += added
+        for k in range(count):
+            center = posterior.field.index(k, *CENTER)
+            covariance[center, center] += (pose_mm / posterior.field.deviation[center]) ** 2
         result = ShapeReconstruction(
             fit.field, fit.z, replace(posterior, covariance=covariance), fit.chi2,
             tuple(odds), min(any_odds, MAX_LOG_ODDS) if count else 0.0,
@@ -103,7 +102,7 @@ class DraftSearch:
     def _log_odds(self, model: Model, uniform: Model, k: int) -> float:
         """Return the log-evidence over that of the model without a ball."""
         rival = uniform
-        if len(model.fit.field.distorted) > 1:
+        if len(model.fit.field.families) > 1:
             rival = self.fitted(*without(model.fit.field, model.fit.z, [k]), model.evaluation)
         inflation = max(1.0, model.fit.chi2)
         odds = model.fit.log_evidence(inflation) - rival.fit.log_evidence(inflation)
@@ -114,7 +113,7 @@ def best_model(models: Sequence[Model]) -> Model:
     """Return the model of the most evidence; further balls must raise it by enough."""
     best = models[0]
     for model in models[1:]:
-        added = len(model.fit.field.distorted) > len(best.fit.field.distorted)
+        added = len(model.fit.field.families) > len(best.fit.field.families)
         if _is_better(model.fit, best.fit, MIN_GAIN if added else 0.0):
             best = model
     return best

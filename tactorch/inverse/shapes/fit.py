@@ -18,10 +18,9 @@ from jaxtyping import Float
 from scipy.linalg import null_space
 
 from tactorch.errors import ConvergenceError
-from tactorch.inverse.fields import FieldPoint, ModulusField, Vector
+from tactorch.inverse.fields import FieldPoint, ModulusField, ShapeField, Sites, Vector
 from tactorch.inverse.optimizers.damped import projected_gradient
 from tactorch.inverse.problem import Evaluation, InverseProblem
-from tactorch.inverse.shapes.field import ShapeField, Sites
 
 _MAX_STEP, _MAX_Z = 0.5, 4.0  # of a coefficient, in standard deviations of its prior
 _DAMPING, _RAISED_DAMPING = 1e-6, 1e-2  # smallest ones, over the Hessian's diagonal

@@ -8,13 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.inverse.data import DataModel
+from tactorch.inverse.fields import FAMILIES, SIZE, Family, ShapeField, Sites
 from tactorch.inverse.held_out import held_out_score
 from tactorch.inverse.palpation import contacts_of
 from tactorch.inverse.predictions import Predictions
 from tactorch.inverse.problem import Evaluation
-from tactorch.inverse.shapes.field import ShapeField, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
-from tactorch.inverse.shapes.fractions import Geometry
 from tactorch.inverse.shapes.matched import Candidate
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.inverse.shapes.result import ShapeReconstruction
@@ -28,6 +27,7 @@ RIM_DEVIATIONS = (0.1, 0.2, 0.5)
 # nodal forces of a wider gel on a uniform cube, of edges of an eighth of its side, the most
 # probable deviation is 0.2 to 0.5.
 EDGE_DEVIATION = 0.3
+FOUND_FAMILIES = ("ball", "ellipsoid")  # of inclusions that a search finds by default
 MIN_GAIN = 3.0  # of the log-evidence, for a model that is accepted
 DEGREES = (2, 4)  # of smooth backgrounds
 # Smallest linearised reduction of the misfit that is worth a fit: the best of a few hundred balls
@@ -153,9 +153,7 @@ def make_posterior(model: Model, sites: Sites) -> ShapePosterior:
     certain, and differ. The model is linearised at the balls.
     """
     fit = model.fit
-    field, z = fit.field, fit.z
-    for k in range(len(field.distorted)):
-        field, z = as_ellipsoid(field, z, k)
+    field, z = as_judged(fit.field, fit.z)
     inflation = max(1.0, fit.chi2)
     jacobian = fit.jacobian
     if field is not fit.field:
@@ -169,37 +167,23 @@ def with_ball(
     fit: ShapeFit, candidate: Candidate
 ) -> tuple[str, ShapeField, Float[np.ndarray, " size"]]:
     """Return the description, field and parameters of a model with a further ball or rod."""
-    half = float(np.linalg.norm(candidate.half_mm))
-    field = replace(fit.field, distorted=(*fit.field.distorted, half > 0.0))
+    center, half = candidate.center_mm, candidate.half_mm
     size = np.clip(abs(candidate.log_contrast), *_START_CONTRAST)
-    contrast = np.copysign(size, candidate.log_contrast)
-    radius, distortions = np.log(candidate.radius_mm), np.zeros(0)
-    if half:
-        along = candidate.half_mm / half
-        stretch = radius * np.eye(3) + np.log(1.0 + half / candidate.radius_mm) * np.outer(
-            along, along
-        )
-        _, radius, distortions = Geometry.of(candidate.center_mm, stretch)
-    inclusion = [*candidate.center_mm, radius, contrast, *distortions]
+    contrast = float(np.copysign(size, candidate.log_contrast))
+    families = (FAMILIES[name] for name in FAMILIES)
+    births = ((f, f.birth(center, candidate.radius_mm, contrast, half)) for f in families)
+    family, inclusion = next((family, own) for family, own in births if own is not None)
+    field = replace(fit.field, families=(*fit.field.families, family))
     z = field.standard(np.concatenate([fit.field.physical(fit.z), inclusion]))
-    kind = "rod" if half else "ball"
-    return f"{kind} at {np.round(candidate.center_mm, 1).tolist()} mm", field, z
+    kind = "rod" if half.any() else "ball"
+    return f"{kind} at {np.round(center, 1).tolist()} mm", field, z
 
 
 def varied(
     field: ShapeField, z: Float[np.ndarray, " size"], **background: Any
 ) -> tuple[ShapeField, np.ndarray]:
     """Return the model with more modes of the background, which start at zero."""
-    more = replace(field, **background)
-    values, end = field.physical(z), field.n_background
-    known = dict(zip(_modes(field), values[1:end], strict=True))
-    modes = [known.get(mode, 0.0) for mode in _modes(more)]
-    return more, more.standard(np.array([values[0], *modes, *values[end:]]))
-
-
-def _modes(field: ShapeField) -> list[tuple[float, ...]]:
-    """Return what identifies the modes of a background: whether smooth, and the wave numbers."""
-    return [(k < field.n_smooth, *wave) for k, wave in enumerate(field.waves.tolist())]
+    return field.changed(z, background=replace(field.background, **background))
 
 
 def without(
@@ -207,22 +191,24 @@ def without(
 ) -> tuple[ShapeField, np.ndarray]:
     """Return the model without some of its inclusions."""
     kept, values = [k for k in range(len(field.parts)) if k not in removed], field.physical(z)
-    fewer = replace(field, distorted=tuple(field.distorted[k] for k in kept))
+    fewer = replace(field, families=tuple(field.families[k] for k in kept))
     parts = [values[: field.n_background], *(values[field.parts[k]] for k in kept)]
     return fewer, fewer.standard(np.concatenate(parts))
 
 
-def as_ellipsoid(
-    field: ShapeField, z: Float[np.ndarray, " size"], inclusion: int
+def with_family(
+    field: ShapeField, z: Float[np.ndarray, " size"], inclusion: int, family: Family
 ) -> tuple[ShapeField, np.ndarray]:
-    """Return the model with an inclusion as an ellipsoid, at first of no distortion."""
-    if field.distorted[inclusion]:
-        return field, z
-    distorted = tuple(d or i == inclusion for i, d in enumerate(field.distorted))
-    values, end = field.physical(z), field.parts[inclusion].stop
-    values = np.concatenate([values[:end], np.zeros(5), values[end:]])
-    field = replace(field, distorted=distorted)
-    return field, field.standard(values)
+    """Return the model with an inclusion of another family, whose further parameters are zero."""
+    families = list(field.families)
+    families[inclusion] = family
+    return field.changed(z, families=tuple(families))
+
+
+def as_judged(field: ShapeField, z: Float[np.ndarray, " size"]) -> tuple[ShapeField, np.ndarray]:
+    """Return the model with inclusions of the families by which their posterior is computed."""
+    families = tuple(FAMILIES[family.judged_as] for family in field.families)
+    return (field, z) if families == field.families else field.changed(z, families=families)
 
 
 def moderate(field: ShapeField, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
@@ -233,7 +219,7 @@ def moderate(field: ShapeField, z: Float[np.ndarray, " size"]) -> Float[np.ndarr
     data hardly depend on it, and the steps of a fit become small.
     """
     values = field.physical(z)
-    radius, contrast = field.parts[-1].start + 3, field.parts[-1].start + 4
+    radius, contrast = field.index(-1, *SIZE)
     log = np.clip(values[contrast], -_MAX_START_CONTRAST, _MAX_START_CONTRAST)
     old, new = ((np.exp(x) - 1.0) / (np.exp(x) + 1.5) for x in (values[contrast], log))
     if old != new:

@@ -18,19 +18,20 @@ from jaxtyping import Float
 
 from tactorch.errors import CancelledError
 from tactorch.inverse.data import DataModel
+from tactorch.inverse.fields import ShapeField, ShapePrior
+from tactorch.inverse.fields.family import families_beyond
 from tactorch.inverse.palpation import PALPATION_ELEMENT
 from tactorch.inverse.settings import Settings
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
 from tactorch.inverse.shapes.matched import Candidate, MatchedFilter
 from tactorch.inverse.shapes.model import (
     DEGREES,
+    FOUND_FAMILIES,
     MAX_LOG_ODDS,
     MIN_CANDIDATE_GAIN,
     Errors,
     Model,
     Start,
-    as_ellipsoid,
     falls_short,
     gain,
     make_posterior,
@@ -38,6 +39,7 @@ from tactorch.inverse.shapes.model import (
     unexplained,
     varied,
     with_ball,
+    with_family,
     with_predictions,
     without,
 )
@@ -78,8 +80,15 @@ class _Response(NamedTuple):
 class _Search:
     """The presses, and the present model."""
 
-    def __init__(self, recording: Recording, settings: Settings, stop: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        recording: Recording,
+        settings: Settings,
+        families: Sequence[str],
+        stop: Callable[[], bool],
+    ) -> None:
         self._recording, self._settings, self._stop = recording, settings, stop
+        self._families = families
         self.presses = PalpationPresses(recording, settings, _SEARCHED)
         problem = self.presses.problem
         youngs = self._linear_mpa = problem.contact_mpa
@@ -194,7 +203,7 @@ class _Search:
         for start in self._starts():
             levels = self._with_levels(start, self._response(start))
             found.append(max(levels, key=lambda proposal: proposal.promise))
-        if len(self.model.fit.field.distorted) < max_shapes:
+        if len(self.model.fit.field.families) < max_shapes:
             found += self._further(others, response)
         found = [proposal for proposal in found if proposal.promise > 0.0]
         return sorted(found, key=lambda proposal: -proposal.promise)
@@ -214,10 +223,11 @@ class _Search:
 
     def _starts(self) -> Iterator[Start]:
         field, z, errors = self.model.fit.field, self.model.fit.z, self.model.errors
-        for k, distorted in enumerate(field.distorted):
-            if not distorted:
-                yield Start(f"inclusion {k} as an ellipsoid", *as_ellipsoid(field, z, k), errors)
-        degree = next((degree for degree in DEGREES if degree > field.degree), None)
+        for k, family in enumerate(field.families):
+            for other in families_beyond(family, self._families):
+                what = f"inclusion {k} as {other.noun}"
+                yield Start(what, *with_family(field, z, k, other), errors)
+        degree = next((degree for degree in DEGREES if degree > field.background.degree), None)
         if degree is not None:
             what = f"background of degree {degree}"
             yield Start(what, *varied(field, z, degree=degree), errors)
@@ -282,9 +292,9 @@ class _Search:
         """Fit the model closely with better elements, and return it with its posterior."""
         self.presses = PalpationPresses(self._recording, self._settings, PALPATION_ELEMENT)
         fit = self.model.fit
-        field, z = fit.field, fit.z.copy()
         # Linear elements are too stiff under the balls.
-        z[0] += np.log(self.presses.problem.contact_mpa / self._linear_mpa) / field.deviation[0]
+        factor = self.presses.problem.contact_mpa / self._linear_mpa
+        field, z = fit.field, fit.field.scaled(fit.z, factor)
         self._accept("final fit", self._fit(Start("", field, z, self.model.errors), _FINE))
         fit = self.model.fit
         count = len(fit.field.parts)
@@ -315,12 +325,13 @@ def find_palpation_shapes(
     *,
     max_shapes: int,
     max_models: int,
+    families: Sequence[str] = FOUND_FAMILIES,
     stop: Callable[[], bool] = lambda: False,
 ) -> ShapeReconstruction:
     """Find the inclusions under the presses of a palpation; see `find_shapes`."""
     with progress_line("search for inclusions") as update:
         update("uniform body")
-        search = _Search(recording, settings, stop)
+        search = _Search(recording, settings, families, stop)
         for number in range(2, max_models + 2):
             update(f"model {number}")
             if not search.improve(max_shapes):

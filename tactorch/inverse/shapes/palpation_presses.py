@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from tactorch.inverse.data import DataModel
+from tactorch.inverse.fields import Sites
 from tactorch.inverse.palpation import PalpationProblem
 from tactorch.inverse.settings import Settings
-from tactorch.inverse.shapes.field import Sites
 from tactorch.inverse.shapes.fit import ShapeFit, fit_shapes
 from tactorch.inverse.shapes.model import Model, Start
 from tactorch.inverse.shapes.smooth_errors import (

@@ -6,10 +6,9 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from tactorch.inverse.shapes import strength
-from tactorch.inverse.shapes.field import ShapeField
+from tactorch.inverse.fields import ShapeField, strength
 from tactorch.inverse.shapes.ridges import Ridge
 
 _LIMIT = 4.0  # of the parameters, in standard deviations of the prior
@@ -136,13 +135,8 @@ class ShapePosterior:
         return (np.abs(z) < limit).all(axis=1)
 
     @property
-    def _rows(self) -> list[slice]:
-        """Logarithms of radius and contrast of each inclusion."""
-        return [slice(part.start + 3, part.start + 5) for part in self.field.parts]
-
-    @property
-    def _linear_rows(self) -> list[slice]:
-        return self._rows if self.is_linear else []
+    def _linear_rows(self) -> list[Int[np.ndarray, "2"]]:
+        return self.field.linear if self.is_linear else []
 
     def _linearised(
         self, linear: bool
@@ -150,9 +144,9 @@ class ShapePosterior:
         """Return coordinates at z and their derivative, with strengths if linear."""
         values, deviation = self.field.physical(self.z), self.field.deviation
         point, jacobian = values.copy(), np.diag(deviation)
-        for row in self._rows if linear else []:
+        for row in self.field.linear if linear else []:
             point[row] = strength.from_logs(values[row])
-            jacobian[row, row] = strength.derivative(values[row]) * deviation[row]
+            jacobian[np.ix_(row, row)] = strength.derivative(values[row]) * deviation[row]
         return point, jacobian
 
     def _linear_samples(
@@ -162,7 +156,7 @@ class ShapePosterior:
         point, jacobian = self._linearised(True)
         mean, spread = point + jacobian @ self.step, jacobian @ self.covariance @ jacobian.T
         draws = rng.multivariate_normal(mean, spread, size=count, method="eigh")
-        for row in self._rows:
+        for row in self.field.linear:
             draws[:, row] = strength.to_logs(draws[:, row])
         with np.errstate(invalid="ignore"):
             standard = self.field.standard(draws)

@@ -12,12 +12,12 @@ from jaxtyping import Float
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions
 from tactorch.inverse.data import DataModel, Observation, group_by_contact, rigid_patterns
+from tactorch.inverse.fields import ShapeField, ShapePrior, Sites
 from tactorch.inverse.press_errors import error_patterns, has_errors
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.correction import Correction
 from tactorch.inverse.shapes.error_patterns import ErrorPatterns
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.kept import KeptRims
 from tactorch.inverse.shapes.matched import MatchedFilter
@@ -173,8 +173,7 @@ class ShapeProblem:
 
     def continued(self, result: ShapeReconstruction | ShapeState) -> Start:
         """Return the model of a search on other presses of the same object."""
-        field = replace(result.field, prior=self.prior)
-        z = field.standard(result.field.physical(result.z))
+        field, z = result.field.changed(result.z, prior=self.prior)
         pose = max(result.pose_deviation, self.least_errors.pose)
         rims = max(result.rim_deviation, self.least_errors.rims) if self.has_rims else 0.0
         return Start("the model before", field, z, Errors(result.force_deviation, pose, rims))

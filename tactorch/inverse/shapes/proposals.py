@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from tactorch.inverse.fields.family import families_beyond
 from tactorch.inverse.shapes.model import (
     DEGREES,
     MIN_CANDIDATE_GAIN,
@@ -12,10 +13,10 @@ from tactorch.inverse.shapes.model import (
     Model,
     Proposal,
     Start,
-    as_ellipsoid,
     moderate,
     varied,
     with_ball,
+    with_family,
     without,
 )
 from tactorch.inverse.shapes.problem import ShapeProblem
@@ -27,7 +28,9 @@ _LAYERS = 8  # largest wave number of layers
 _SAME = 2.0  # distance of centres, in radii, below which two starts are of the same ball
 
 
-def propose(problem: ShapeProblem, model: Model, max_shapes: int) -> list[Proposal]:
+def propose(
+    problem: ShapeProblem, model: Model, max_shapes: int, families: Sequence[str]
+) -> list[Proposal]:
     """Return models that seem better than the present one, the best first.
 
     Whether they are better is judged at the noise of the one that explains the data best: at the
@@ -36,7 +39,7 @@ def propose(problem: ShapeProblem, model: Model, max_shapes: int) -> list[Propos
     as much.
     """
     fit = model.fit
-    starts = list(_starts(problem, model, max_shapes))
+    starts = list(_starts(problem, model, max_shapes, families))
     proposals = [*_with_other_errors(problem, model), *_fitted(problem, model, starts)]
     inflation = max(1.0, min([fit.chi2, *(p.trial.chi2 for p in proposals)]))
     gains = [p.trial.log_evidence(inflation) - fit.log_evidence(inflation) for p in proposals]
@@ -54,13 +57,13 @@ def _fitted(problem: ShapeProblem, model: Model, starts: Sequence[Start]) -> lis
     Those with a further inclusion are fitted one after the other, as a start inside a ball that was
     fitted already would lead to it again.
     """
-    offsets, count = problem.offsets(model), len(model.fit.field.distorted)
-    further = [start for start in starts if len(start.field.distorted) > count]
-    others = [start for start in starts if len(start.field.distorted) <= count]
+    offsets, count = problem.offsets(model), len(model.fit.field.families)
+    further = [start for start in starts if len(start.field.families) > count]
+    others = [start for start in starts if len(start.field.families) <= count]
 
     def fit(start: Start) -> Proposal:
         trial, z = problem.try_model(start, offsets)
-        if len(start.field.distorted) > count:
+        if len(start.field.families) > count:
             z = moderate(start.field, z)
         return Proposal(start.what, start.field, z, start.errors, trial)
 
@@ -85,25 +88,27 @@ def _with_other_errors(problem: ShapeProblem, model: Model) -> Iterator[Proposal
         yield Proposal(what, fit.field, fit.z, errors, trial)
 
 
-def _starts(problem: ShapeProblem, model: Model, max_shapes: int) -> Iterator[Start]:
+def _starts(
+    problem: ShapeProblem, model: Model, max_shapes: int, families: Sequence[str]
+) -> Iterator[Start]:
     field, z, errors = model.fit.field, model.fit.z, model.errors
-    if len(field.distorted) < max_shapes:
+    if len(field.families) < max_shapes:
         yield from _further(problem, model)
     for degree in DEGREES:
-        if degree > field.degree:
+        if degree > field.background.degree:
             yield Start(f"background of degree {degree}", *varied(field, z, degree=degree), errors)
             break
-    if not any(field.layers):
+    if not any(field.background.layers):
         yield from _layers(problem, model)
-    if field.distorted and len(field.waves):
+    if field.families and len(field.background.waves):
         # Inclusions may explain what the background was found to vary for.
         uniform = varied(field, z, degree=0, layers=(0, 0, 0))
         yield Start("uniform background", *uniform, errors)
-    for k, distorted in enumerate(field.distorted):
+    for k, family in enumerate(field.families):
         # A further part of the model, or further presses, may explain what it was found for.
         yield Start(f"inclusion {k} removed", *without(field, z, [k]), errors)
-        if not distorted:
-            yield Start(f"inclusion {k} as an ellipsoid", *as_ellipsoid(field, z, k), errors)
+        for other in families_beyond(family, families):
+            yield Start(f"inclusion {k} as {other.noun}", *with_family(field, z, k, other), errors)
 
 
 def _layers(problem: ShapeProblem, model: Model) -> Iterator[Start]:
@@ -134,9 +139,6 @@ def _further(problem: ShapeProblem, model: Model) -> Iterator[Start]:
 def _is_inside(start: Start, proposal: Proposal) -> bool:
     """Whether both are with a further ball, whose centres are near each other."""
     field = proposal.field
-    if not (start.what.startswith("ball") and proposal.what.startswith("ball")):
-        return False
-    first, end = field.parts[-1].start, field.parts[-1].start + 3
-    centers = (field.physical(z)[first:end] for z in (start.z, proposal.z))
-    radius = np.exp(field.physical(proposal.z)[end])
-    return bool(np.linalg.norm(np.subtract(*centers)) < _SAME * radius)
+    first, last = (one.field.own(field.physical(one.z), -1) for one in (start, proposal))
+    apart = np.linalg.norm(first.center - last.center)
+    return bool(apart < _SAME * np.exp(last.log_radius))

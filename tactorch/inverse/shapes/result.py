@@ -10,8 +10,8 @@ from jaxtyping import Float
 from scipy.special import expit
 
 from tactorch.display import Displayed
+from tactorch.inverse.fields import InclusionShape, ShapeField, Sites
 from tactorch.inverse.predictions import Predictions
-from tactorch.inverse.shapes.field import Ellipsoid, ShapeField, Sites
 from tactorch.inverse.shapes.posterior import ShapePosterior
 
 _DRAWS = 1000
@@ -45,10 +45,10 @@ class InclusionValues(NamedTuple):
     def of(field: ShapeField, z: Float[np.ndarray, "draws size"], k: int) -> "InclusionValues":
         """Return inclusion k of each draw, in standard deviations of the field's prior."""
         values = field.physical(z)
-        own = values[:, field.parts[k]]
-        background, contrast = field.log_background(values, own[:, :3]), own[:, 4]
-        logs = (own[:, 3], background + contrast, background, contrast)
-        return InclusionValues(own[:, :3], *map(np.exp, logs))
+        own = field.own(values, k)
+        background, contrast = field.log_background(values, own.center), own.log_contrast
+        logs = (own.log_radius, background + contrast, background, contrast)
+        return InclusionValues(own.center, *map(np.exp, logs))
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class ShapeInclusion:
         probability: Probability that the inclusion exists.
     """
 
-    shape: Ellipsoid
+    shape: InclusionShape
     youngs_mpa: float
     background_mpa: float
     center_deviation_mm: tuple[float, float, float]
@@ -161,7 +161,7 @@ class ShapeReconstruction(Displayed):
     @property
     def background_mpa(self) -> float:
         """Young's modulus of the background, MPa; the geometric mean where it is smooth."""
-        return float(np.exp(self.field.physical(self.z)[0]))
+        return float(np.exp(self.field.log_level(self.z)))
 
     def youngs_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         """Return the most probable Young's modulus at points (mm), MPa."""
@@ -207,7 +207,7 @@ class ShapeReconstruction(Displayed):
         """Numbers of `inclusions` among those of the field."""
         return tuple(np.argsort(-np.array(self.log_odds), kind="stable").tolist())
 
-    def _inclusion(self, k: int, shape: Ellipsoid) -> ShapeInclusion:
+    def _inclusion(self, k: int, shape: InclusionShape) -> ShapeInclusion:
         draws = InclusionValues.of(self.posterior.field, self.samples, k)
         best = InclusionValues.of(self.field, self.z[None], k)
         return ShapeInclusion(

@@ -19,6 +19,7 @@ from tactorch.inverse.palpation import is_palpation
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.kept import KeptRims
 from tactorch.inverse.shapes.model import (
+    FOUND_FAMILIES,
     MAX_LOG_ODDS,
     MIN_GAIN,
     Model,
@@ -51,6 +52,7 @@ def find_shapes(
     settings: Settings | None = None,
     *,
     max_shapes: int = _MAX_SHAPES,
+    families: Sequence[str] = FOUND_FAMILIES,
     start: ShapeReconstruction | ShapeState | None = None,
     stop: Callable[[], bool] = lambda: False,
     kept: KeptRims | None = None,
@@ -66,6 +68,8 @@ def find_shapes(
             corrected by finer meshes there and at inclusions, unless the provenance states that the
             presses were computed on the recording's mesh.
         max_shapes: Largest number of inclusions.
+        families: Families of inclusions, of "ball", "ellipsoid" and "cuboid" (see
+            `tactorch.inverse.fields.FAMILIES`). Balls are always among them.
         start: Result for other presses on the object, such as the earlier ones of a session, or
             what a search had `reached` that was stopped, from whose model the search starts; by
             default, and from a model without inclusions, it starts from a uniform body.
@@ -83,13 +87,14 @@ def find_shapes(
     settings = settings or Settings()
     if is_palpation(recording):
         return find_palpation_shapes(
-            recording, settings, max_shapes=max_shapes, max_models=_MAX_MODELS, stop=stop
-        )
+            recording, settings, max_shapes=max_shapes, max_models=_MAX_MODELS, families=families,
+            stop=stop,
+        )  # fmt: skip
     refined = recording if is_same_model(recording) else refined_at_contacts(recording)
     with progress_line("search for inclusions") as update:
         update("elements at the contacts")
         problem = ShapeProblem(refined, settings, stop, kept)
-        model, result = _search(problem, start, max_shapes, update)
+        model, result = _search(problem, start, max_shapes, families, update)
         return with_predictions(result, model, recording)
 
 
@@ -97,6 +102,7 @@ def _search(
     problem: ShapeProblem,
     start: ShapeReconstruction | ShapeState | None,
     max_shapes: int,
+    families: Sequence[str],
     update: Callable[[str], None],
 ) -> tuple[Model, ShapeReconstruction]:
     """Accept models of more evidence until there is none; return the last one, and the result."""
@@ -105,7 +111,7 @@ def _search(
     try:
         for number in range(2, _MAX_MODELS + 2):
             update(f"model {number}, predictions of proposals")
-            proposals = propose(problem, model, max_shapes)
+            proposals = propose(problem, model, max_shapes, families)
             update(f"model {number}")
             if (accepted := _accept(problem, model, proposals)) is None:
                 break
@@ -152,7 +158,7 @@ def _first(
     """Fit the model of an earlier result, or where there is none a uniform body."""
     what, model = "uniform", None
     # A background that varies, found of few presses, would hide the inclusion that more show.
-    if before is not None and before.field.distorted:
+    if before is not None and before.field.families:
         start = problem.continued(before)
         try:
             what, model = start.what, problem.first(start)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from tactorch.inverse.shapes.field import Ellipsoid
+from tactorch.inverse.fields import InclusionShape
 from tactorch.inverse.shapes.footprint import Footprint, loaded_nodes
 from tactorch.mesh import TetMesh
 from tactorch.mesh.refine import Sizing
@@ -27,7 +27,7 @@ _PER_TRIANGLE = 4  # divisions of the edges of loaded triangles into points of t
 _MIN_COSINE = 0.8  # between normals, where the surface goes on across a rim
 
 
-def inclusion_sizing(inclusions: Sequence[Ellipsoid]) -> Sizing:
+def inclusion_sizing(inclusions: Sequence[InclusionShape]) -> Sizing:
     """Return the longest edges (mm) at points (mm): short near boundaries of inclusions.
 
     The strain around an inclusion changes with the third power of the distance.
@@ -44,7 +44,7 @@ def inclusion_sizing(inclusions: Sequence[Ellipsoid]) -> Sizing:
 
 
 def observed_sizing(
-    observed: Float[np.ndarray, "n 3"], inclusions: Sequence[Ellipsoid]
+    observed: Float[np.ndarray, "n 3"], inclusions: Sequence[InclusionShape]
 ) -> Sizing | None:
     """Return the longest edges (mm) at points (mm): short where the surface is near inclusions.
 

@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConvergenceError
+from tactorch.inverse.fields import SIZE
 from tactorch.inverse.shapes.fit import ShapesOnSites
-from tactorch.inverse.shapes.model import MIN_GAIN, Model, Start, as_ellipsoid, gain, make_posterior
+from tactorch.inverse.shapes.model import MIN_GAIN, Model, Start, as_judged, gain, make_posterior
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.inverse.shapes.problem import ShapeProblem
 from tactorch.inverse.shapes.ridges import Ridge, RidgePoint
@@ -44,7 +45,7 @@ def final_posterior(problem: ShapeProblem, model: Model) -> tuple[Model, ShapePo
         _log.warning("The posterior is linearised at balls, as ellipsoids fail: %s", error)
         free = model
     posterior = make_posterior(free, problem.sites)
-    if not all(free.fit.field.distorted):
+    if free.fit.field.families != posterior.field.families:
         return model, posterior
     uncertain = [k for k in range(len(posterior.field.parts)) if _is_uncertain(posterior, k)]
     ridges = tuple(follow_ridge(problem, free, k) for k in uncertain)
@@ -58,7 +59,7 @@ def follow_ridge(problem: ShapeProblem, model: Model, inclusion: int) -> Ridge:
     twelve, a press has no equilibrium, or a parameter is at its bound.
     """
     field, z = model.fit.field, model.fit.z
-    radius, contrast = (field.parts[inclusion].start + k for k in (3, 4))
+    radius, contrast = field.index(inclusion, *SIZE)
     direction = np.zeros(len(z))
     direction[[radius, contrast]] = 1.0, -1.0 if field.physical(z)[contrast] > 0.0 else 1.0
     direction /= np.sqrt(2.0)
@@ -73,19 +74,16 @@ def follow_ridge(problem: ShapeProblem, model: Model, inclusion: int) -> Ridge:
 
 
 def _is_uncertain(posterior: ShapePosterior, inclusion: int) -> bool:
-    begin = posterior.field.parts[inclusion].start + 3
-    rows = slice(begin, begin + 2)
+    rows = posterior.field.index(inclusion, *SIZE)
     deviations = np.sqrt(np.diag(posterior.covariance)) * posterior.field.deviation
     return bool((deviations[rows] > _MIN_DEVIATION).any())
 
 
 def _with_ellipsoids(problem: ShapeProblem, model: Model) -> Model:
     """Return the model fitted with all balls as ellipsoids."""
-    field, z = model.fit.field, model.fit.z
-    if all(field.distorted):
+    field, z = as_judged(model.fit.field, model.fit.z)
+    if field is model.fit.field:
         return model
-    for k in range(len(field.distorted)):
-        field, z = as_ellipsoid(field, z, k)
     start = Start("balls as ellipsoids", field, z, model.errors)
     # An ellipsoid without distortions is the ball.
     return problem.fit(start, None, _TOLERANCE, evaluation=model.evaluation)

@@ -12,10 +12,10 @@ import pytest
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.inverse import GaussNewton, Reconstruction, Settings, Status, invert, invert_map
 from tactorch.inverse.data import DataModel, Observation, group_by_contact
+from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.held_out import held_out_score
 from tactorch.inverse.predictions import Predictions
 from tactorch.inverse.shapes import KeptRims, ShapeReconstruction
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
@@ -42,7 +42,7 @@ def elements(recording: Recording) -> Reconstruction:
 @pytest.fixture
 def shapes(recording: Recording) -> ShapeReconstruction:
     """A ball of 0.8 MPa in 0.2 MPa."""
-    field = ShapeField(ShapePrior.of(recording.mesh, 0.2), (False,))
+    field = ShapeField(ShapePrior.of(recording.mesh, 0.2), (BALL,))
     z = field.standard(np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.0), np.log(4.0)]))
     posterior = ShapePosterior(field, z, np.zeros(len(z)), 4e-4 * np.eye(len(z)))
     history = ({"model": "ball", "chi2": 1.0, "log_evidence": 0.0},)

@@ -8,10 +8,9 @@ import pytest
 
 from tactorch.fem.contact import Ball
 from tactorch.inverse import Reconstruction, Status
+from tactorch.inverse.fields import ELLIPSOID, ShapeField, ShapePrior
 from tactorch.inverse.result.text import describe, describe_lump
 from tactorch.inverse.shapes import ShapeReconstruction
-from tactorch.inverse.shapes.field import ShapeField, ShapePrior
-from tactorch.inverse.shapes.fractions import Geometry
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.phantoms import make_phantom
@@ -19,7 +18,7 @@ from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Rec
 from tactorch.simulation import PressPlan, simulate
 
 MESH = box_mesh(10.0, 6, tets_per_cell=5)
-FIELD = ShapeField(ShapePrior.of(MESH, 0.2), (True,))
+FIELD = ShapeField(ShapePrior.of(MESH, 0.2), (ELLIPSOID,))
 VALUES = [np.log(0.2), 5.0, 5.0, 6.0, np.log(2.0), np.log(4.0), 0.3, 0.0, 0.0, 0.0, 0.0]
 
 
@@ -62,8 +61,8 @@ def test_a_shape_becomes_a_lump_with_intervals(recording, shapes, inclusions):
 def test_a_long_shape_is_named_with_length_widths_and_direction(recording, inclusions):
     axis = np.array([0.6, 0.8, 0.0])
     stretch = np.log(1.0) * np.eye(3) + np.log(4.0) * np.outer(axis, axis)
-    _, log_radius, distortions = Geometry.of(np.array([5.0, 5.0, 6.0]), stretch)
-    long = reconstruct([*VALUES[:4], log_radius, np.log(4.0), *distortions])
+    own = ELLIPSOID.values(np.array([5.0, 5.0, 6.0]), stretch, np.log(4.0))
+    long = reconstruct([VALUES[0], *own])
     (lump,) = inclusions(recording, long).lumps
     assert lump.elongation is not None
     assert lump.elongation.length_mm == pytest.approx(8.0)

@@ -1,0 +1,205 @@
+"""Families of inclusions: their parameters, prior, modulus at sample points, and relations.
+
+An inclusion is the image of a shape of the volume of the unit ball, by exp(S) with a symmetric
+matrix S, and a boundary of a width. The trace of S is three times the log-radius; the other part is
+the sum of distortions, each a coefficient of a matrix without trace. The logarithm of the modulus
+at a quadrature point is that of the background plus, for each inclusion, its log-contrast times the
+fraction of the point's volume inside: the geometric mean. An arithmetic mean is too stiff where a
+boundary crosses an element.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.special import expit
+
+from tactorch.config import Registry
+from tactorch.inverse.fields.inclusion import CENTER, COMMON, SIZE, InclusionShape, Parameters
+from tactorch.inverse.fields.prior import ShapePrior
+from tactorch.inverse.fields.sites import Sites
+
+#: Families by name. A family is an object of a class in one file, and a line here.
+FAMILIES = Registry(
+    "inclusion",
+    {
+        "ball": "tactorch.inverse.fields.ball:BALL",
+        "ellipsoid": "tactorch.inverse.fields.ellipsoid:ELLIPSOID",
+        "cuboid": "tactorch.inverse.fields.cuboid:CUBOID",
+    },
+)
+
+_TURNS = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+#: Orthonormal basis of symmetric matrices without trace: distortions of the same volume.
+DISTORTIONS = {
+    "x-y": np.diag([1.0, -1.0, 0.0]) / np.sqrt(2.0),
+    "xy-z": np.diag([1.0, 1.0, -2.0]) / np.sqrt(6.0),
+    **{
+        name: (np.outer(a, b) + np.outer(b, a)) / np.sqrt(2.0)
+        for name, (a, b) in ((n, np.eye(3)[[i, j]]) for n, (i, j) in _TURNS.items())
+    },
+}
+_RADIUS = 0.15  # mean radius of the prior, over the body's size
+_VARIANCE = np.pi**2 / 12.0  # of the logistic distribution whose density is a boundary of width one
+_TINY = 1e-12  # mm2, for the derivative of a length at zero
+
+Samples = Float[np.ndarray, "volumes samples 3"]
+Widths = Float[np.ndarray, " volumes"]
+
+
+class Family(ABC):
+    """A family of inclusions.
+
+    Attributes:
+        name: Its name in `FAMILIES`.
+        noun: The name with its article.
+        distortions: Names of the distortions, of `DISTORTIONS`.
+        shape_type: The body that is stretched.
+        reach: Radius of the ball around the body of the volume of the unit ball.
+        curvature: Mean curvature of its boundary, over that of the unit ball; zero where it is
+            flat.
+        special: Names of families whose members this one contains, for the same values of the
+            parameters that both have, or nearly contains. A search may go on from them to it.
+        judged_as: Name of the family by which the posterior is computed: the data that make a ball
+            the most probable model do not exclude an ellipsoid.
+        linear: Names of log-radius and log-contrast, on whose squared radius and strength the data
+            depend nearly linearly (see `tactorch.inverse.fields.strength`); empty if there is no
+            such pair.
+    """
+
+    name: str
+    noun: str
+    distortions: tuple[str, ...] = ()
+    shape_type: type[InclusionShape] = InclusionShape
+    reach: float = 1.0
+    curvature: float = 1.0
+    special: tuple[str, ...] = ()
+    judged_as: str
+    linear: tuple[str, ...] = SIZE
+
+    @cached_property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return (*COMMON, *self.distortions)
+
+    def scale(self, prior: ShapePrior) -> tuple[list[float], list[float]]:
+        """Return mean and deviation of the parameters, mm and logarithms."""
+        middle, half = 0.5 * (prior.low_mm + prior.high_mm), 0.5 * (prior.high_mm - prior.low_mm)
+        count = len(self.distortions)
+        mean = [*middle, np.log(_RADIUS * prior.size_mm), 0.0, *[0.0] * count]
+        return mean, [*half, prior.log_radius, prior.log_contrast, *[prior.distortion] * count]
+
+    def birth(
+        self,
+        center_mm: Float[np.ndarray, "3"],
+        radius_mm: float,
+        log_contrast: float,
+        half_mm: Float[np.ndarray, "3"],
+    ) -> Float[np.ndarray, " parameters"] | None:
+        """Return parameters of a ball or a rod; None where the family is not for it.
+
+        Args:
+            center_mm: Its centre.
+            radius_mm: Its radius.
+            log_contrast: Its log-contrast.
+            half_mm: Vector from the centre to an end of the rod; zero for a ball.
+        """
+        return None
+
+    def shape(self, own: Parameters) -> InclusionShape:
+        """Return the body."""
+        logs, vectors = np.linalg.eigh(self.log_stretch(own))
+        order = np.argsort(-logs)
+        semi_axes = np.exp(logs[order]) / np.cbrt(self.shape_type.unit_volume)
+        return self.shape_type(
+            tuple(own.center.tolist()),
+            tuple(semi_axes.tolist()),
+            tuple(tuple(row) for row in vectors.T[order].tolist()),
+            float(np.exp(own.log_contrast)),
+        )
+
+    @cached_property
+    def basis(self) -> Float[np.ndarray, "k 3 3"]:
+        """The matrices of the distortions."""
+        return np.reshape([DISTORTIONS[name] for name in self.distortions], (-1, 3, 3))
+
+    def log_stretch(self, own: Parameters) -> Float[np.ndarray, "3 3"]:
+        """Return S, the logarithm of the matrix that maps the body of unit volume to this one."""
+        return own.log_radius * np.eye(3) + np.tensordot(own.distortions, self.basis, 1)
+
+    def log_change(
+        self, own: Parameters, sites: Sites
+    ) -> tuple[Int[np.ndarray, " near"], Float[np.ndarray, " near"]]:
+        """Return the volumes that the inclusion may touch, and the change of their log-moduli."""
+        near = self._near(own, sites)
+        fraction = self.fraction(own, sites.points[near], sites.width[near])
+        return near, own.log_contrast * fraction
+
+    def log_change_derivative(
+        self, own: Parameters, sites: Sites
+    ) -> tuple[Int[np.ndarray, " near"], Float[np.ndarray, "near parameters"]]:
+        """Return the volumes of `log_change`, and its derivatives there by the parameters."""
+        near = self._near(own, sites)
+        points, width = sites.points[near], sites.width[near]
+        distance, slopes = self.distance_derivative(own, points)
+        slopes[len(CENTER)] -= self._shift(own, width)[:, None]
+        inside = expit(self._scaled(own, distance, width))
+        weights = inside * (1.0 - inside) * (-2.0 / width / points.shape[1])[:, None]
+        columns = own.log_contrast * np.einsum("vs,kvs->vk", weights, slopes)
+        return near, np.insert(columns, COMMON.index("log_contrast"), inside.mean(axis=1), axis=1)
+
+    def fraction(self, own: Parameters, points: Samples, width: Widths) -> Widths:
+        """Return the fraction of each volume inside, by its sample points (mm).
+
+        The boundary is sharp where its width (mm) is zero.
+        """
+        distance = self.distance(own, points)
+        if not width.any():
+            return np.asarray((distance < 0.0).mean(axis=1))
+        return np.asarray(expit(self._scaled(own, distance, width)).mean(axis=1))
+
+    @abstractmethod
+    def distance(self, own: Parameters, points: Samples) -> Float[np.ndarray, "volumes samples"]:
+        """Return the distance of points (mm) to the boundary, to first order, negative inside."""
+
+    @abstractmethod
+    def distance_derivative(
+        self, own: Parameters, points: Samples
+    ) -> tuple[Float[np.ndarray, "volumes samples"], Float[np.ndarray, "k volumes samples"]]:
+        """Return `distance`, and its derivatives by centre, log-radius and distortions."""
+
+    def _scaled(
+        self, own: Parameters, distance: Float[np.ndarray, "volumes samples"], width: Widths
+    ) -> Float[np.ndarray, "volumes samples"]:
+        return -2.0 * (distance + self._shift(own, width)[:, None]) / width[:, None]
+
+    def _shift(self, own: Parameters, width: Widths) -> Widths:
+        """Shift of a smooth boundary (mm), which would enlarge a ball by its curvature."""
+        return self.curvature * _VARIANCE * width * width / np.exp(own.log_radius)
+
+    def _near(self, own: Parameters, sites: Sites) -> Int[np.ndarray, " near"]:
+        """Return the indices of the volumes that may touch an inclusion."""
+        shape, margin = self.shape(own), 4.0 * sites.width
+        longest, _, shortest = shape.semi_axes_mm
+        apart = sites.points - own.center
+        distance = np.sqrt((apart * apart).sum(axis=2).min(axis=1))
+        near = np.flatnonzero(distance < self.reach * longest + margin)
+        if self.reach * longest > shortest:
+            # The distance is at least that to the unit shape times the shortest semi-axis.
+            points = sites.points[near]
+            level = shape.unit.signed_distance(shape.relative(points.reshape(-1, 3)))
+            closest = level.reshape(points.shape[:2]).min(axis=1)
+            near = near[closest * shortest < margin[near]]
+        return near
+
+
+def length(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, " *n"]:
+    """Return the lengths of vectors, with a derivative at zero."""
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1) + _TINY))
+
+
+def families_beyond(family: Family, names: Iterable[str]) -> list[Family]:
+    """Return those of some families that contain another one, and as which it may be fitted."""
+    return [other for name in names if family.name in (other := FAMILIES[name]).special]

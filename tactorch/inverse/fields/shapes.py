@@ -1,0 +1,243 @@
+"""Inclusions in a background as a field of Young's modulus."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from tactorch.errors import ConfigError
+from tactorch.inverse.fields import strength
+from tactorch.inverse.fields.background import Background
+from tactorch.inverse.fields.family import FAMILIES, Family
+from tactorch.inverse.fields.inclusion import InclusionShape, Parameters
+from tactorch.inverse.fields.prior import ShapePrior
+from tactorch.inverse.fields.sites import Sites
+
+_UNIFORM = Background()
+_SMOOTH = "legendre"  # modes of a smooth background
+_STEP = 1e-5  # of differences, in standard deviations of the prior
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeField:
+    """A number of inclusions in a background.
+
+    The parameters are in standard deviations of the prior: those of the background, and then those
+    of each inclusion.
+
+    Attributes:
+        prior: Prior of the parameters.
+        families: The family of each inclusion.
+        background: The background.
+    """
+
+    prior: ShapePrior
+    families: tuple[Family, ...] = ()
+    background: Background = _UNIFORM
+
+    def plain(self) -> dict[str, Any]:
+        """Return plain JSON values; the inverse of `of`."""
+        return {
+            "prior": self.prior.plain(),
+            "families": [family.name for family in self.families],
+            "degree": self.background.degree,
+            "layers": list(self.background.layers),
+            "smooth": _SMOOTH,
+        }
+
+    @staticmethod
+    def of(plain: Mapping[str, Any]) -> "ShapeField":
+        """Return the field from plain JSON values, of which others are left out.
+
+        Raises:
+            ConfigError: the background has the modes of an earlier version.
+        """
+        if plain["degree"] and plain.get("smooth") != _SMOOTH:
+            raise ConfigError(
+                "The shapes have a smooth background by the modes of an earlier version; fit them "
+                "again with tactorch find."
+            )
+        # Earlier versions state for each inclusion whether it is an ellipsoid.
+        names = ["ellipsoid" if distorted else "ball" for distorted in plain.get("distorted", ())]
+        families = tuple(FAMILIES[name] for name in plain.get("families", names))
+        background = Background(plain["degree"], tuple(plain.get("layers", (0, 0, 0))))
+        return ShapeField(ShapePrior.of_plain(plain["prior"]), families, background)
+
+    @cached_property
+    def _scale(self) -> tuple[np.ndarray, np.ndarray]:
+        scales = [part.scale(self.prior) for part in (self.background, *self.families)]
+        mean, deviation = map(np.concatenate, zip(*scales, strict=True))
+        return mean, deviation
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return len(self._scale[0])
+
+    @property
+    def deviation(self) -> Float[np.ndarray, " size"]:
+        """Standard deviations of the prior, mm and logarithms."""
+        return self._scale[1]
+
+    @property
+    def n_background(self) -> int:
+        """Number of parameters of the background."""
+        return len(self.background.parameters)
+
+    @cached_property
+    def parts(self) -> list[slice]:
+        """Parameters of each inclusion."""
+        ends = np.cumsum([self.n_background, *(len(f.parameters) for f in self.families)])
+        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+    def index(self, inclusion: int, *names: str) -> Int[np.ndarray, " names"]:
+        """Return the places of parameters of an inclusion among all, by their names."""
+        own = self.families[inclusion].parameters
+        return self.parts[inclusion].start + np.array([own.index(name) for name in names])
+
+    @property
+    def linear(self) -> list[Int[np.ndarray, "2"]]:
+        """Places of log-radius and log-contrast of the inclusions, see `Family.linear`."""
+        pairs = enumerate(self.families)
+        return [self.index(k, *family.linear) for k, family in pairs if family.linear]
+
+    def log_level(self, z: Float[np.ndarray, " size"]) -> float:
+        """Return the log-modulus of the background, log MPa; its mean where it varies."""
+        return float(self.physical(z)[self.background.level])
+
+    def scaled(self, z: Float[np.ndarray, " size"], factor: float) -> Float[np.ndarray, " size"]:
+        """Return the parameters of the field whose moduli are larger by a factor."""
+        values = self.physical(z)
+        values[self.background.level] += np.log(factor)
+        return self.standard(values)
+
+    def own(self, values: Float[np.ndarray, "*k size"], inclusion: int) -> Parameters:
+        """Return the parameters of an inclusion from all, in mm and logarithms."""
+        return Parameters.of(values[..., self.parts[inclusion]])
+
+    def _inclusions(
+        self, values: Float[np.ndarray, " size"]
+    ) -> Iterator[tuple[Family, Parameters, slice]]:
+        for k, (family, part) in enumerate(zip(self.families, self.parts, strict=True)):
+            yield family, self.own(values, k), part
+
+    def physical(self, z: Float[np.ndarray, "*k size"]) -> Float[np.ndarray, "*k size"]:
+        """Return parameters in mm and logarithms from those in standard deviations."""
+        mean, deviation = self._scale
+        return mean + deviation * z
+
+    def standard(self, values: Float[np.ndarray, "*k size"]) -> Float[np.ndarray, "*k size"]:
+        """Return parameters in standard deviations; the inverse of `physical`."""
+        mean, deviation = self._scale
+        return (values - mean) / deviation
+
+    def moved(
+        self, z: Float[np.ndarray, " size"], step: Float[np.ndarray, " size"]
+    ) -> Float[np.ndarray, " size"]:
+        """Return the parameters after a step, on which the data depend nearly linearly.
+
+        Steps of squared radii and strengths of inclusions are straight, see
+        `tactorch.inverse.fields.strength`, which is `z + step` to first order only.
+        """
+        values, change = self.physical(z), self.deviation * step
+        new = values + change
+        for logs in self.linear:
+            new[logs] = strength.moved(values[logs], change[logs])
+        return self.standard(new)
+
+    def changed(
+        self, z: Float[np.ndarray, " size"], **changes: Any
+    ) -> tuple["ShapeField", Float[np.ndarray, " size"]]:
+        """Return the field with another prior, background or families, and its parameters.
+
+        Those of the same name remain, in mm and logarithms, and others are zero.
+        """
+        other, values = replace(self, **changes), self.physical(z)
+        parts = [slice(self.n_background), *self.parts]
+        kinds = zip((self.background, *self.families), parts, strict=True)
+        known = [dict(zip(kind.parameters, values[part], strict=True)) for kind, part in kinds]
+        new = [
+            mine.get(name, 0.0)
+            for kind, mine in zip((other.background, *other.families), known, strict=True)
+            for name in kind.parameters
+        ]
+        return other, other.standard(np.array(new))
+
+    def shapes(self, z: Float[np.ndarray, " size"]) -> Iterator[InclusionShape]:
+        """Yield the inclusions."""
+        for family, own, _ in self._inclusions(self.physical(z)):
+            yield family.shape(own)
+
+    def excess(self, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, " sides"]:
+        """Return how far inclusions extend beyond each side of the box, in standard deviations.
+
+        There are six values for each inclusion where the prior restricts them, and otherwise none.
+        """
+        prior, found = self.prior, [np.zeros(0)]
+        for shape in self.shapes(z) if prior.outside_mm is not None else ():
+            center, half = np.array(shape.center_mm), shape.half_size_mm
+            beyond = [center + half - prior.high_mm, prior.low_mm - center + half]
+            found.append(np.maximum(np.concatenate(beyond), 0.0) / prior.outside_mm)
+        return np.concatenate(found)
+
+    def penalty(self, z: Float[np.ndarray, " size"]) -> float:
+        """Return minus the log-density of the prior, up to a constant of the family."""
+        excess = self.excess(z)
+        return 0.5 * float(z @ z + excess @ excess)
+
+    def excess_jacobian(self, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, "sides size"]:
+        """Return the derivative of `excess` by the parameters, by central differences."""
+        steps = _STEP * np.eye(self.size)
+        columns = [
+            (self.excess(z + step) - self.excess(z - step)) / (2.0 * _STEP) for step in steps
+        ]
+        return np.stack(columns, axis=1)
+
+    def log_background(
+        self, values: Float[np.ndarray, "k size"], points: Float[np.ndarray, "k 3"]
+    ) -> Float[np.ndarray, " k"]:
+        """Return the log-modulus of the background of each of k fields at one point (mm) each.
+
+        `values` are in mm and logarithms; see `physical`.
+        """
+        slopes = self.background.derivative(self.prior, points)
+        return np.asarray((slopes * values[:, : self.n_background]).sum(axis=1))
+
+    def _background(self, sites: Sites) -> Float[np.ndarray, "volumes k"]:
+        """Derivative of the background's log-modulus by its parameters."""
+        return self.background.derivative(self.prior, sites.centers)
+
+    def log_youngs(self, z: Float[np.ndarray, " size"], sites: Sites) -> np.ndarray:
+        """Return the log-modulus of each volume, log MPa."""
+        values = self.physical(z)
+        out = self._background(sites) @ values[: self.n_background]
+        for family, own, _ in self._inclusions(values):
+            near, change = family.log_change(own, sites)
+            out[near] += change
+        return out
+
+    def log_youngs_of(
+        self,
+        z: Float[np.ndarray, " size"],
+        sites: Sites,
+        fractions: Sequence[Float[np.ndarray, " elements"]],
+    ) -> np.ndarray:
+        """Return the log-modulus of each volume, of elements in each inclusion by a fraction."""
+        values = self.physical(z)
+        out = self._background(sites) @ values[: self.n_background]
+        for (_, own, _), fraction in zip(self._inclusions(values), fractions, strict=True):
+            out += own.log_contrast * np.repeat(fraction, sites.shape[1])
+        return out
+
+    def jacobian(self, z: Float[np.ndarray, " size"], sites: Sites) -> np.ndarray:
+        """Return the derivative of `log_youngs` by the parameters, (volumes, size)."""
+        out = np.zeros((len(sites.points), self.size))
+        out[:, : self.n_background] = self._background(sites)
+        for family, own, part in self._inclusions(self.physical(z)):
+            near, columns = family.log_change_derivative(own, sites)
+            out[near, part] = columns
+        return out * self.deviation

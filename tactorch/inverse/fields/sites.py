@@ -1,0 +1,55 @@
+"""The volumes around points, for each of which a field gives one modulus."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from tactorch.fem.assembly import Assembly
+from tactorch.inverse.fields.inclusion import InclusionShape
+from tactorch.mesh.quadrature import samples_around
+
+_WIDTH = 0.15  # width of a boundary over the cube root of the element's volume
+
+
+@dataclass(frozen=True, eq=False)
+class Sites:
+    """The volumes for which a field gives moduli: those of the quadrature points.
+
+    Attributes:
+        points: Sample points of each volume, (volumes, samples, 3), mm.
+        width: Width of a boundary in each volume, mm.
+        shape: Shape of the array of moduli, (elements, quadrature points).
+    """
+
+    points: Float[np.ndarray, "volumes samples 3"]
+    width: Float[np.ndarray, " volumes"]
+    shape: tuple[int, int]
+
+    @staticmethod
+    def of(assembly: Assembly) -> "Sites":
+        """Return the volumes around the quadrature points of a body's elements."""
+        mesh, rule = assembly.discretisation.mesh, assembly.discretisation.element.points
+        points = samples_around(rule) @ mesh.points[mesh.tets]
+        shape = assembly.weights.shape
+        width = _WIDTH * np.cbrt(np.repeat(assembly.volumes, shape[1]))
+        return Sites(points.reshape(shape[0] * shape[1], -1, 3), width, shape)
+
+    @cached_property
+    def centers(self) -> Float[np.ndarray, "volumes 3"]:
+        """Centre of each volume, mm."""
+        return self.points.mean(axis=1)
+
+    def fraction_inside(
+        self, shape: InclusionShape, elements: Int[np.ndarray, " k"]
+    ) -> Float[np.ndarray, " k"]:
+        """Return the fraction of each of some elements inside an inclusion, by sample points."""
+        points = self.points.reshape(self.shape[0], -1, 3)[elements]
+        inside = shape.contains(points.reshape(-1, 3)).reshape(points.shape[:2])
+        return np.asarray(inside.mean(axis=1))
+
+    @staticmethod
+    def at(points: Float[np.ndarray, "n 3"]) -> "Sites":
+        """Return points (mm), at which boundaries are sharp."""
+        return Sites(points[:, None], np.zeros(len(points)), (len(points), 1))
