@@ -5,14 +5,13 @@ from jaxtyping import Float
 
 from tactorch.findings.elongation import Elongation
 from tactorch.findings.finding import Confidence, Finding, Lump, measure_depth
-from tactorch.inverse.palpation import is_palpation
+from tactorch.inverse.errors import ERRORS
 from tactorch.inverse.shapes import Ellipsoid, ShapeInclusion, ShapeReconstruction
 from tactorch.metrics import Inclusion
 from tactorch.recording import Recording
 
 # Part of the displacements that is neither explained nor noise, above which nothing can be told.
 MAX_UNEXPLAINED = 0.1
-_MIN_NOTED_POSE = 0.005  # relative deviation above that of the discretisation
 _MIN_PROBABILITY = 0.9  # of a lump that is reported
 
 
@@ -27,7 +26,8 @@ def build_shape_finding(recording: Recording, result: ShapeReconstruction) -> Fi
         result: Result of `find_shapes` for this recording.
     """
     background, probability = result.background_mpa, result.probability
-    notes = _notes(recording, result)
+    texts = [error.sentence(result.errors.get(error.name, 0.0)) for error in ERRORS]
+    notes = tuple(filter(None, texts))
     if result.unexplained > MAX_UNEXPLAINED:
         reason = (
             f"the best model leaves {result.unexplained:.0%} of the displacements unexplained. "
@@ -40,29 +40,6 @@ def build_shape_finding(recording: Recording, result: ShapeReconstruction) -> Fi
         if inclusion.probability >= _MIN_PROBABILITY
     )
     return Finding(recording.mesh, lumps, background, (), probability, notes, result)
-
-
-def _notes(recording: Recording, result: ShapeReconstruction) -> tuple[str, ...]:
-    """Return errors of forces and poses that the data show."""
-    notes = []
-    if result.force_deviation and is_palpation(recording):
-        notes.append(
-            f"The forces differ from the model by about {result.force_deviation:.0%}, smoothly "
-            "over the surface; the intervals of the lumps account for it. Check the depth of the "
-            "object and its base."
-        )
-    elif result.force_deviation:
-        notes.append(
-            f"The forces of the presses are wrong by about {result.force_deviation:.0%}; the "
-            "intervals of the lumps account for it. Check the calibration of the force sensor."
-        )
-    if result.pose_deviation >= _MIN_NOTED_POSE:
-        notes.append(
-            "The object or the sensor moves as a whole beside the recorded forces and supports, by "
-            f"about {result.pose_deviation:.0%} of the displacements; the intervals of the lumps "
-            "account for it. Check the supports and the pose of the sensor."
-        )
-    return tuple(notes)
 
 
 def _lump(recording: Recording, found: ShapeInclusion) -> Lump:

@@ -26,7 +26,7 @@ from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes import Interval, ShapeReconstruction
 from tactorch.inverse.shapes.field import ShapeField
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
-from tactorch.inverse.shapes.model import Errors, Model
+from tactorch.inverse.shapes.model import Model
 from tactorch.inverse.shapes.posterior import Normal, ShapePosterior
 from tactorch.inverse.shapes.problem import ShapeProblem, is_same_model
 from tactorch.inverse.shapes.result import InclusionValues
@@ -327,9 +327,7 @@ def _predict(problem: ShapeProblem, result: ShapeReconstruction) -> Evaluation:
     Raises:
         ConvergenceError: a press has no equilibrium, on the mesh or on the finer ones.
     """
-    errors = Errors(result.force_deviation, result.pose_deviation, result.rim_deviation)
-    if errors.forces or errors.rims:
-        problem.uniform()  # whose predictions give the effects of errors of the forces
+    errors = problem.errors.at_least(result.errors)
     quadratic = problem.quadratic.with_data(problem.data(errors))
     field, z = result.posterior.field, result.posterior.z
     model = Model(*fit_shapes(quadratic, field, z, sites=problem.sites, max_iterations=0), errors)

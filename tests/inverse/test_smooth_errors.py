@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tactorch.inverse.errors.smooth_forces import (
+    border_distances,
+    correlation_length,
+    smooth_error_patterns,
+)
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior
 from tactorch.inverse.shapes.fit import ShapeFit
 from tactorch.inverse.shapes.fractions import Geometry
 from tactorch.inverse.shapes.matched import Balls, Candidate
 from tactorch.inverse.shapes.model import with_ball
-from tactorch.inverse.shapes.smooth_errors import (
-    border_distances,
-    correlation_length,
-    smooth_error_patterns,
-)
 from tactorch.mesh import box_mesh
 
 

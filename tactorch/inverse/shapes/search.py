@@ -15,9 +15,9 @@ from contextlib import suppress
 from typing import Any
 
 from tactorch.errors import CancelledError, ConvergenceError
+from tactorch.inverse.errors.kept import KeptRims
 from tactorch.inverse.palpation import is_palpation
 from tactorch.inverse.settings import Settings
-from tactorch.inverse.shapes.kept import KeptRims
 from tactorch.inverse.shapes.model import (
     MAX_LOG_ODDS,
     MIN_GAIN,
@@ -119,7 +119,7 @@ def _search(
             history.append(record("balls as ellipsoids", best.fit))
         return _result(problem, best, posterior, history)
     except CancelledError as error:
-        error.reached = ShapeState(model.fit.field, model.fit.z, *model.errors)
+        error.reached = ShapeState(model.fit.field, model.fit.z, model.errors)
         raise
 
 
@@ -140,7 +140,7 @@ def _result(
     _log.info("final fit: chi2 %.4g", fit.chi2)
     return ShapeReconstruction(
         fit.field, fit.optimum, posterior, fit.chi2,
-        *_log_odds(problem, model), *model.errors, unexplained(fit, problem.quadratic.data),
+        *_log_odds(problem, model), model.errors, unexplained(fit, problem.quadratic.data),
         tuple(history),
     )  # fmt: skip
 

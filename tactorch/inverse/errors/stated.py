@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float
 
+from tactorch.inverse.errors.base import ErrorSource, MeasuredPresses
 from tactorch.inverse.problem import Evaluation
 from tactorch.linalg import map_cases
 from tactorch.recording import Press, Recording
@@ -18,12 +19,22 @@ from tactorch.recording import Press, Recording
 _SMALLEST = 0.1  # norm of a pattern that is left out, in standard deviations of the white noise
 
 
-def has_errors(recording: Recording) -> bool:
-    """Return whether forces and displacements of a press have errors in common."""
-    return any(press.errors is not None for press in recording.presses)
+class Stated(ErrorSource):
+    """Correlated errors of forces and displacements that presses state, with their deviations."""
+
+    name, elements = "stated", "quadratic"
+
+    def least(self, presses: MeasuredPresses) -> float | None:
+        """Return one, the deviations that are stated, if any."""
+        stated = [press.errors is not None for press in presses.problem.recording.presses]
+        return 1.0 if any(stated) else None
+
+    def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
+        """Return the changes of the residuals by the errors of each press."""
+        return stated_patterns(presses.evaluation, presses.problem.recording)
 
 
-def error_patterns(
+def stated_patterns(
     evaluation: Evaluation, recording: Recording, smallest: float = _SMALLEST
 ) -> Float[np.ndarray, "data k"]:
     """Return patterns of the residuals by the correlated errors of each press.
