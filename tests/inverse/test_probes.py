@@ -11,8 +11,8 @@ from tactorch.fem.contact import Ball, FlatPunch
 from tactorch.inverse import IncrementalInversion, InverseProblem, NoiseModel, find_shapes
 from tactorch.inverse.data import Observation, group_by_contact
 from tactorch.inverse.errors import MeasuredPresses
-from tactorch.inverse.errors.forces import force_patterns
-from tactorch.inverse.errors.pose import probe_patterns
+from tactorch.inverse.errors.forces import Forces
+from tactorch.inverse.errors.pose import Pose
 from tactorch.inverse.footprint import Footprint, largest_depth, loaded_nodes
 from tactorch.inverse.nuisance import NuisancePrior
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
@@ -120,7 +120,7 @@ def test_motions_of_probes_are_finite_differences(recording: Recording) -> None:
 def test_presses_at_one_place_share_the_error_of_the_pose(recording: Recording) -> None:
     problem = _problem(recording)
     evaluation = problem.evaluate(YOUNGS)
-    patterns = probe_patterns(MeasuredPresses(problem, linearised=evaluation))
+    patterns = Pose().patterns(MeasuredPresses(problem, linearised=evaluation))
     assert patterns.shape == (29, 6)  # two places
     motions = evaluation.probe_motions()
     np.testing.assert_allclose(patterns[:8, :3], 1.0 * np.vstack(motions[:2]), rtol=2e-3)
@@ -141,7 +141,7 @@ def test_the_uniform_modulus_follows_from_forces_alone(recording: Recording) -> 
 
 def test_force_patterns_are_relative_errors_of_the_measured_force(recording: Recording) -> None:
     evaluation = _problem(recording).evaluate(YOUNGS)
-    patterns = force_patterns(evaluation, recording)
+    patterns = Forces().patterns(MeasuredPresses(_problem(recording), linearised=evaluation))
     assert patterns.shape == (29, 3)
     first = recording.presses[0].force
     np.testing.assert_allclose(patterns[:4, 0], first.values / first.deviations)

@@ -9,10 +9,10 @@ import torch
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import ELEMENTS, SoftBody, Supports, make_material
-from tactorch.inverse import InverseProblem, NoiseModel
+from tactorch.inverse import Evaluation, InverseProblem, NoiseModel
 from tactorch.inverse.data import DataModel, Observation, group_by_contact, signal_rms
 from tactorch.inverse.errors import MeasuredPresses
-from tactorch.inverse.errors.forces import force_patterns
+from tactorch.inverse.errors.forces import Forces
 from tactorch.inverse.errors.pose import RigidMotion
 from tactorch.linalg import limit_workers
 from tactorch.recording import Press, Recording
@@ -325,11 +325,17 @@ def test_the_last_linear_response_is_kept_with_other_data(
         np.testing.assert_allclose(column, wider.jacobian_times(change), rtol=1e-9)
 
 
+def force_patterns(problem: InverseProblem, evaluation: Evaluation, smallest: float) -> np.ndarray:
+    forces = Forces()
+    forces.smallest = smallest
+    return forces.patterns(MeasuredPresses(problem, linearised=evaluation))
+
+
 def test_force_patterns_are_changes_by_errors_of_the_forces(
     recording: Recording, moduli: np.ndarray
 ) -> None:
     problem = InverseProblem(recording)
-    patterns = force_patterns(problem.evaluate(moduli), problem.recording)
+    patterns = force_patterns(problem, problem.evaluate(moduli), 0.0)
     counts, step = problem.data.counts, 1e-5
     forces, points = recording.presses[0].forces, recording.mesh.points
     loaded = np.flatnonzero(forces.any(axis=1))
@@ -365,17 +371,18 @@ def test_a_press_without_forces_has_no_force_patterns(
     prescribed[fixed] = -0.1
     moved = {"forces": np.zeros_like(forces), "fixed": fixed, "prescribed": prescribed}
     problem = InverseProblem(with_press(recording, 0, **moved))
-    patterns = force_patterns(problem.evaluate(moduli), problem.recording)
+    patterns = force_patterns(problem, problem.evaluate(moduli), 0.0)
     assert len(patterns) == sum(problem.data.counts)
     assert not patterns[: problem.data.counts[0]].any()
     assert patterns.any()
 
 
 def test_small_force_patterns_are_left_out(recording: Recording, moduli: np.ndarray) -> None:
-    evaluation = InverseProblem(recording).evaluate(moduli)
-    norms = np.linalg.norm(force_patterns(evaluation, recording), axis=0)
+    problem = InverseProblem(recording)
+    evaluation = problem.evaluate(moduli)
+    norms = np.linalg.norm(force_patterns(problem, evaluation, 0.0), axis=0)
     middle = float(np.median(norms))
-    kept = np.linalg.norm(force_patterns(evaluation, recording, middle), axis=0)
+    kept = np.linalg.norm(force_patterns(problem, evaluation, middle), axis=0)
     np.testing.assert_allclose(np.sort(kept), np.sort(norms[norms > middle]))
 
 

@@ -17,7 +17,6 @@ from tactorch.inverse.errors.rims import (
     Rims,
     _midside_loads,
     rim_edges,
-    rim_patterns,
 )
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.shapes.correction import Correction
@@ -99,14 +98,17 @@ def test_patterns_explain_the_traction_that_ends_within_triangles(recording, pro
     error = case.observe(moved) * observation.scale
     rims = [(numbers, rim.nodes) for numbers, rim in contacts]
     presses = MeasuredPresses(problem, linearised=evaluation, rims=rims)
-    patterns = rim_patterns(presses, 0.0)
+    rims_error = Rims()
+    rims_error.smallest = 0.0
+    patterns = rims_error.patterns(presses)
     first, second = np.split(patterns, [len(evaluation.data.observations[0].index)])
     amplitudes = np.linalg.lstsq(second, error, rcond=1e-6)[0]
     assert np.linalg.norm(error) > 1.0
     assert np.linalg.norm(second @ amplitudes - error) < 0.15 * np.linalg.norm(error)
     # In units of its own noise, half the pressure has the same changes but for the deformation.
     np.testing.assert_allclose(first, second, atol=0.1 * np.abs(second).max())
-    few = rim_patterns(presses, 1.0)
+    rims_error.smallest = 1.0
+    few = rims_error.patterns(presses)
     assert 0 < few.shape[1] < patterns.shape[1]
     assert np.linalg.norm(few, axis=0).min() > 1.0
 

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from tactorch.inverse.errors.kept import KeptRims
 from tactorch.inverse.problem import Evaluation, InverseProblem
 
-_LEAST_CHANGE = 0.3  # norm of a change of the data that is left out, in standard deviations
+LEAST_CHANGE = 0.3  # norm of a change of the data that is left out, in standard deviations
 
 #: Standard deviation of each error, in its own unit, by name; others are zero.
 Levels: TypeAlias = Mapping[str, float]
@@ -25,8 +25,7 @@ class MeasuredPresses:
         problem: The presses, whose data have white noise.
         contacts: Numbers of the presses of each contact.
         linearised: Predictions about which errors are linearised.
-        corrections_mm: Correction of the discretisation that the data of each press contain, mm;
-            None where the discretisation is not corrected.
+        corrections_mm: Corrections of the discretisation that the data contain, mm, or None.
         rims: Numbers of the presses of each contact whose traction is uncertain where it ends, and
             the nodes there.
         at_edge: Whether a sensor's contact ends at an edge of the body.
@@ -67,12 +66,16 @@ class ErrorSource(ABC):
             about the first model; "quadratic", about each model at which predictions are corrected;
             or none.
         proposal: Description of a model with another deviation.
+        note: What a deviation means for the result, and what to check.
+        noted: Smallest deviation with a note.
+        smallest: Norm of patterns that are left out, in standard deviations.
     """
 
     name: str
     levels: ClassVar[tuple[float, ...]] = ()
-    elements: ClassVar[str] = ""
-    proposal: ClassVar[str] = ""
+    elements = proposal = note = ""
+    noted: ClassVar[float] = 1e-9
+    smallest = 0.0
 
     def least(self, presses: MeasuredPresses) -> float | None:
         """Return the least deviation, that of the simplest model; None where there is no error."""
@@ -80,17 +83,19 @@ class ErrorSource(ABC):
 
     @abstractmethod
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
-        """Return changes of the data, each by an error of unit deviation.
+        """Return changes of the data by independent errors of unit deviation.
 
-        The errors of the columns are independent. The unit is the standard deviation of the white
-        noise.
+        The unit is the standard deviation of the white noise.
         """
 
     def sentence(self, level: float) -> str:
-        """Return what a deviation means for the result, and what to check; empty if nothing."""
-        return ""
+        """Return the note for a deviation, or nothing."""
+        return self.note.format(level) if level >= self.noted else ""
 
-    @property
-    def smallest(self) -> float:
-        """Norm below which patterns are left out, small at the largest deviation."""
-        return _LEAST_CHANGE / max(self.levels)
+
+def principal(columns: Float[np.ndarray, "data k"], smallest: float) -> Float[np.ndarray, "data q"]:
+    """Return orthogonal columns of the same covariance, of norms above `smallest`."""
+    basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    kept = sizes > smallest
+    out: np.ndarray = basis[:, kept] * sizes[kept]
+    return out

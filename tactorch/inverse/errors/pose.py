@@ -12,7 +12,6 @@ from tactorch.inverse.palpation import is_palpation
 from tactorch.recording import ProbePose, Recording
 
 _LEAST = 0.001  # that of the discretisation after its correction
-_MIN_NOTED = 0.005  # relative deviation above that of the discretisation
 _SAME_PLACE = 0.1  # distance across the approach, over the probe's depth, at which places differ
 _LEVI_CIVITA = np.stack([np.cross(axis, np.eye(3)).T for axis in np.eye(3)])
 
@@ -23,11 +22,10 @@ class RigidMotion(ErrorSource):
     name = "pose"
 
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
-        """Return rigid motions of each contact, as large as the displacements observed there.
+        """Return the motions, in which the presses of a contact move together.
 
-        Presses of one contact move together, each in proportion to the root mean square of its
-        observed displacements. Rotations are about the mean of the observed points, and scaled to
-        the size of the translations.
+        Each moves by the root mean square of its observed displacements. Rotations are about the
+        mean of the observed points, and scaled to the size of the translations.
         """
         points = presses.problem.recording.mesh.points
         observations = presses.problem.data.observations
@@ -51,12 +49,15 @@ class RigidMotion(ErrorSource):
 
 
 class Pose(RigidMotion):
-    """Rigid motions of each contact, and motions of probes; see `probe_patterns`.
-
-    The level is over the observed displacements, and over the depth of a probe.
-    """
+    """Rigid motions of each contact, and of probes at each place, over the largest depth there."""
 
     elements, proposal, levels = "linear", "poses wrong by {:.1%}", (0.002, 0.01, 0.05)
+    noted = 0.005  # above what remains of the discretisation
+    note = (
+        "The object or the sensor moves as a whole beside the recorded forces and supports, by "
+        "about {:.0%} of the displacements; the intervals of the lumps account for it. "
+        "Check the supports and the pose of the sensor."
+    )
 
     def least(self, presses: MeasuredPresses) -> float | None:
         """Return what remains of the discretisation; places of a palpation are exact."""
@@ -66,32 +67,13 @@ class Pose(RigidMotion):
 
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
         """Return the changes of the data by motions of contacts and of probes."""
-        return np.hstack([super().patterns(presses), probe_patterns(presses)])
-
-    def sentence(self, level: float) -> str:
-        """Return what a deviation means for the result."""
-        if level < _MIN_NOTED:
-            return ""
-        return (
-            "The object or the sensor moves as a whole beside the recorded forces and supports, by "
-            f"about {level:.0%} of the displacements; the intervals of the lumps account for it. "
-            "Check the supports and the pose of the sensor."
-        )
-
-
-def probe_patterns(presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
-    """Return the changes of the data by errors of the positions of probes.
-
-    The error at one place is common to its presses, and as large as the largest depth there. The
-    unit is the standard deviation of the white noise.
-    """
-    columns = [presses.joined({}, 0)]
-    if presses.problem.recording.has_probes:
-        motions = presses.evaluation.probe_motions()
-        for place in _places(presses.problem.recording):
-            parts = {i: place.depth_mm * motions[i] for i in place.presses}
-            columns.append(presses.joined(parts, 3))
-    return np.hstack(columns)
+        columns = [super().patterns(presses)]
+        if presses.problem.recording.has_probes:
+            motions = presses.evaluation.probe_motions()
+            for place in _places(presses.problem.recording):
+                parts = {i: place.depth_mm * motions[i] for i in place.presses}
+                columns.append(presses.joined(parts, 3))
+        return np.hstack(columns)
 
 
 @dataclass(eq=False)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tactorch.fem.elements import Discretisation
-from tactorch.inverse.errors.base import ErrorSource, MeasuredPresses
+from tactorch.inverse.errors.base import LEAST_CHANGE, ErrorSource, MeasuredPresses, principal
 from tactorch.inverse.errors.kept import press_key
 from tactorch.inverse.problem import Evaluation
 from tactorch.linalg import map_cases
@@ -25,10 +25,11 @@ _AT_ONCE = 100  # solves with one factorisation
 
 
 class Rims(ErrorSource):
-    """Errors of the traction at the edges of a contact's rim, over the mean traction."""
+    """Errors of the traction at each edge of a contact's rim, over the mean traction of a press."""
 
     name, elements, proposal = "rims", "quadratic", "tractions at rims wrong by {:.0%}"
     levels = (0.1, 0.2, 0.5)
+    smallest = LEAST_CHANGE / levels[-1]
 
     def least(self, presses: MeasuredPresses) -> float | None:
         """Return the deviation at an edge of the body, if a sensor's contact ends at one."""
@@ -37,40 +38,24 @@ class Rims(ErrorSource):
         return EDGE_DEVIATION if presses.at_edge else 0.0
 
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
-        """Return the changes of the data by errors of the traction at the rims of contacts."""
-        return rim_patterns(presses, self.smallest)
+        """Return orthogonal changes common to the presses of each contact."""
+        evaluation, recording = presses.evaluation, presses.problem.recording
+        known = presses.kept.responses
 
+        def work(k: int) -> np.ndarray:
+            numbers, rim = presses.rims[k]
+            chosen = [recording.presses[i] for i in numbers]
+            key = press_key(recording, chosen)
+            if key not in known:
+                pairs = zip(numbers, chosen, strict=True)
+                known[key] = [_responses(evaluation, i, press.forces, rim) for i, press in pairs]
+            scales = [evaluation.data.observations[i].scale for i in numbers]
+            blocks = [s[:, None] * block for s, block in zip(scales, known[key], strict=True)]
+            columns = principal(np.vstack(blocks), self.smallest)
+            parts = np.split(columns, np.cumsum([len(block) for block in blocks])[:-1])
+            return presses.joined(dict(zip(numbers, parts, strict=True)), columns.shape[1])
 
-def rim_patterns(presses: MeasuredPresses, smallest: float) -> Float[np.ndarray, "data k"]:
-    """Return the changes of the data by errors of the traction at the rims of contacts.
-
-    The errors at the edges of a rim are independent, and each is common to the presses of its
-    contact. Their deviation is the mean traction of the press. The products of the patterns with
-    their transpose are those of all errors. Their unit is the standard deviation of the white
-    noise.
-
-    Args:
-        presses: The presses, linearised with quadratic elements.
-        smallest: Norm of patterns that are left out.
-    """
-    evaluation, recording = presses.evaluation, presses.problem.recording
-    known = presses.kept.responses
-
-    def work(k: int) -> np.ndarray:
-        numbers, rim = presses.rims[k]
-        chosen = [recording.presses[i] for i in numbers]
-        key = press_key(recording, chosen)
-        if key not in known:
-            pairs = zip(numbers, chosen, strict=True)
-            known[key] = [_responses(evaluation, i, press.forces, rim) for i, press in pairs]
-        scales = [evaluation.data.observations[i].scale for i in numbers]
-        blocks = [s[:, None] * block for s, block in zip(scales, known[key], strict=True)]
-        basis, sizes, _ = np.linalg.svd(np.vstack(blocks), full_matrices=False)
-        columns = basis[:, sizes > smallest] * sizes[sizes > smallest]
-        parts = np.split(columns, np.cumsum([len(block) for block in blocks])[:-1])
-        return presses.joined(dict(zip(numbers, parts, strict=True)), columns.shape[1])
-
-    return np.hstack([presses.joined({}, 0), *map_cases(work, len(presses.rims))])
+        return np.hstack([presses.joined({}, 0), *map_cases(work, len(presses.rims))])
 
 
 def _responses(

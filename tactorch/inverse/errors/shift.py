@@ -19,11 +19,15 @@ class ContactShift(ErrorSource):
     """Shifts of contacts along the surface, each common to its presses, over the contact's radius.
 
     The radius is that of a disc of the loaded area. A patch of 2 mm radius that is placed by hand
-    or by a camera is misplaced by a few tenths of a millimetre.
+    is misplaced by a few tenths of a millimetre.
     """
 
     name, elements, proposal = "shift", "linear", "contacts misplaced by {:.0%} of their radius"
     levels = (0.05, 0.1, 0.2)
+    note = (
+        "The presses are misplaced by about {:.0%} of the radius of their contacts; the intervals "
+        "of the lumps account for it. Check the poses of the presses."
+    )
 
     def least(self, presses: MeasuredPresses) -> float | None:
         """Return zero; there is none without forces, or in a palpation."""
@@ -33,29 +37,15 @@ class ContactShift(ErrorSource):
 
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
         """Return the changes of the data by shifts along two directions of each contact."""
-        recording, contacts = presses.problem.recording, presses.contacts
+        recording = presses.problem.recording
 
         def work(k: int) -> np.ndarray:
-            if not recording.presses[contacts[k][0]].forces.any():
-                return presses.joined({}, 0)
-            changes = {
-                i: presses.evaluation.load_response(
-                    i, [*shifted_forces(recording.mesh, recording.presses[i].forces)]
-                )
-                for i in contacts[k]
-            }
-            return presses.joined(changes, 2)
+            forces = {i: recording.presses[i].forces for i in presses.contacts[k]}
+            loads = {i: shifted_forces(recording.mesh, f) for i, f in forces.items() if f.any()}
+            changes = {i: presses.evaluation.load_response(i, [*f]) for i, f in loads.items()}
+            return presses.joined(changes, 2 if loads else 0)
 
-        return np.hstack([presses.joined({}, 0), *map_cases(work, len(contacts))])
-
-    def sentence(self, level: float) -> str:
-        """Return what a deviation means for the result."""
-        if not level:
-            return ""
-        return (
-            f"The presses are misplaced by about {level:.0%} of the radius of their contacts; the "
-            "intervals of the lumps account for it. Check the poses of the presses."
-        )
+        return np.hstack(map_cases(work, len(presses.contacts)))
 
 
 def shifted_forces(mesh: TetMesh, forces: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "2 n 3"]:

@@ -29,6 +29,10 @@ class SmoothForces(ErrorSource):
 
     name, elements, proposal = "smooth_forces", "linear", "forces wrong by {:.0%}"
     levels = (0.05, 0.15)
+    note = (
+        "The forces differ from the model by about {:.0%}, smoothly over the surface; the "
+        "intervals of the lumps account for it. Check the depth of the object and its base."
+    )
 
     def least(self, presses: MeasuredPresses) -> float | None:
         """Return zero, or None without a palpation."""
@@ -43,15 +47,6 @@ class SmoothForces(ErrorSource):
         border = _BORDER * float(np.median(problem.indentation.balls_mm))
         place_of, depths = (x[problem.press_of] for x in (problem.places, problem.depths_mm))
         return smooth_error_patterns(contacts, place_of, depths, forces, border)
-
-    def sentence(self, level: float) -> str:
-        """Return what a deviation means for the result."""
-        if not level:
-            return ""
-        return (
-            f"The forces differ from the model by about {level:.0%}, smoothly over the surface; "
-            "the intervals of the lumps account for it. Check the depth of the object and its base."
-        )
 
 
 def smooth_error_patterns(

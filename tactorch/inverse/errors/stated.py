@@ -11,18 +11,16 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float
 
-from tactorch.inverse.errors.base import ErrorSource, MeasuredPresses
+from tactorch.inverse.errors.base import ErrorSource, MeasuredPresses, principal
 from tactorch.inverse.problem import Evaluation
 from tactorch.linalg import map_cases
-from tactorch.recording import Press, Recording
-
-_SMALLEST = 0.1  # norm of a pattern that is left out, in standard deviations of the white noise
+from tactorch.recording import Press
 
 
 class Stated(ErrorSource):
     """Correlated errors of forces and displacements that presses state, with their deviations."""
 
-    name, elements = "stated", "quadratic"
+    name, elements, smallest = "stated", "quadratic", 0.1
 
     def least(self, presses: MeasuredPresses) -> float | None:
         """Return one, the deviations that are stated, if any."""
@@ -30,31 +28,14 @@ class Stated(ErrorSource):
         return 1.0 if any(stated) else None
 
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
-        """Return the changes of the residuals by the errors of each press."""
-        return stated_patterns(presses.evaluation, presses.problem.recording)
+        """Return orthogonal changes of each press, whose covariance is that of its errors."""
+        recording, evaluation = presses.problem.recording, presses.evaluation
 
+        def work(i: int) -> np.ndarray:
+            columns = _residuals(evaluation, recording.presses[i], i)
+            return principal(columns, self.smallest)
 
-def stated_patterns(
-    evaluation: Evaluation, recording: Recording, smallest: float = _SMALLEST
-) -> Float[np.ndarray, "data k"]:
-    """Return patterns of the residuals by the correlated errors of each press.
-
-    They are orthogonal for each press, and the products with their transpose are those of its
-    errors. The unit is the standard deviation of the white noise.
-
-    Args:
-        evaluation: Predictions of the presses, about which the object is linearised.
-        recording: The presses.
-        smallest: Norm of patterns that are left out.
-    """
-
-    def work(i: int) -> np.ndarray:
-        columns = _residuals(evaluation, recording.presses[i], i)
-        basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-        kept = sizes > smallest
-        return basis[:, kept] * sizes[kept]
-
-    return sp.block_diag(map_cases(work, len(recording.presses))).toarray()
+        return sp.block_diag(map_cases(work, len(recording.presses))).toarray()
 
 
 def _residuals(evaluation: Evaluation, press: Press, number: int) -> Float[np.ndarray, "data q"]:

@@ -1,7 +1,8 @@
 """The result of a search for shapes: inclusions with intervals, as numbers and as a field."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from dataclasses import field as attribute
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -118,7 +119,7 @@ class ShapeReconstruction(Displayed):
     chi2: float
     log_odds: tuple[float, ...]
     log_odds_any: float
-    errors: Levels = field(default_factory=dict)
+    errors: Levels = attribute(default_factory=dict)
     unexplained: float = 0.0
     history: tuple[dict[str, Any], ...] = ()
 
