@@ -276,7 +276,8 @@ class _ExactPosterior:
         """Return the posterior with the data, errors and corrections of a result."""
         if not is_same_model(recording):
             recording = refined_at_contacts(recording)
-        problem, approximation = ShapeProblem(recording, settings), result.posterior
+        problem = ShapeProblem(recording, settings, requested=result.errors)
+        approximation = result.posterior
         evaluation = _predict(problem, result)
         family = ShapesOnSites(approximation.field, problem.sites)
         _, fields = evaluation.linear_response(family.at(approximation.z).changes)

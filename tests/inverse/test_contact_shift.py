@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tactorch.errors import ConfigError
 from tactorch.fem import Discretisation
 from tactorch.fem.elements import ELEMENTS
+from tactorch.inverse import Settings, find_shapes
 from tactorch.inverse.errors import MeasuredPresses
 from tactorch.inverse.errors.shift import ContactShift, shifted_forces
 from tactorch.inverse.problem import InverseProblem
+from tactorch.inverse.shapes.problem import ShapeProblem
 from tactorch.mesh import box_mesh
 from tactorch.mesh.tractions import LoadedSurface
 from tactorch.phantoms import make_phantom
@@ -62,6 +65,18 @@ def test_a_shift_keeps_the_force_and_changes_the_moment() -> None:
     alone = np.zeros_like(forces)
     alone[MESH.surface.nodes()[0], 2] = 1.0
     assert not shifted_forces(MESH, alone).any()
+
+
+def test_a_search_tries_shifts_on_request() -> None:
+    plan = PressPlan(("z+",), (0.005,), patch_radius_mm=3.0)
+    recording = simulate(make_phantom("uniform_cube"), plan, mesh=MESH, element="tet10")
+    assert "shift" not in [e.name for e in ShapeProblem(recording, Settings()).errors.errors]
+    presses = ShapeProblem(recording, Settings(), requested=["shift"])
+    levels = [e.get("shift") for _, e in presses.errors.others(presses.least_errors)]
+    assert set(levels) == {None, *ContactShift.levels}
+    assert presses.data({"shift": 0.1}).log_determinant > 1.0
+    with pytest.raises(ConfigError, match=r"errors=shfit is unknown.*'shift'"):
+        find_shapes(recording, errors=["shfit"])
 
 
 def test_presses_without_forces_have_no_shift() -> None:

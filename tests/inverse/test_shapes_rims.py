@@ -207,5 +207,5 @@ def test_the_result_states_the_deviation_at_rims(recording, tmp_path):
     assert ShapeReconstruction.of(plain).errors == {"forces": 0.05}
     plain |= {"pose_deviation": 0.001, "rim_deviation": 0.1}
     assert ShapeReconstruction.of(plain).errors == {"forces": 0.05, "pose": 0.001, "rims": 0.1}
-    plain["outside_mm"] = 1.0  # of a palpation
+    plain["prior"]["outside_mm"] = 1.0  # of a palpation
     assert ShapeReconstruction.of(plain).errors["smooth_forces"] == 0.05

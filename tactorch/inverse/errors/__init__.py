@@ -6,6 +6,7 @@ from tactorch.inverse.errors.discretisation import DiscretisationRemainder
 from tactorch.inverse.errors.forces import Forces
 from tactorch.inverse.errors.pose import Pose
 from tactorch.inverse.errors.rims import Rims
+from tactorch.inverse.errors.shift import ContactShift
 from tactorch.inverse.errors.smooth_forces import SmoothForces
 from tactorch.inverse.errors.stated import Stated
 
@@ -17,6 +18,7 @@ ERRORS: tuple[ErrorSource, ...] = (
     SmoothForces(),
     Pose(),
     Rims(),
+    ContactShift(),
 )
 
 __all__ = ["ERRORS", "ErrorModel", "ErrorSource", "Levels", "MeasuredPresses"]

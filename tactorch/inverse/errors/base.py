@@ -69,13 +69,14 @@ class ErrorSource(ABC):
         note: What a deviation means for the result, and what to check.
         noted: Smallest deviation with a note.
         smallest: Norm of patterns that are left out, in standard deviations.
+        on_request: Whether only a search that is given its name takes it into account.
     """
 
     name: str
     levels: ClassVar[tuple[float, ...]] = ()
     elements = proposal = note = ""
     noted: ClassVar[float] = 1e-9
-    smallest = 0.0
+    smallest, on_request = 0.0, False
 
     def least(self, presses: MeasuredPresses) -> float | None:
         """Return the least deviation, that of the simplest model; None where there is no error."""

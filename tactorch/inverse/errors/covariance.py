@@ -1,6 +1,6 @@
 """The covariance of the data: white noise, and errors that the data have in common."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,7 @@ class ErrorModel:
     Args:
         presses: The presses.
         errors: Errors that may occur.
+        requested: Names of those that are taken into account on request.
 
     Attributes:
         presses: The presses.
@@ -24,8 +25,14 @@ class ErrorModel:
         least: Their deviations in the simplest model.
     """
 
-    def __init__(self, presses: MeasuredPresses, errors: Iterable[ErrorSource]) -> None:
-        least = {error: error.least(presses) for error in errors}
+    def __init__(
+        self,
+        presses: MeasuredPresses,
+        errors: Iterable[ErrorSource],
+        requested: Collection[str] = (),
+    ) -> None:
+        counted = [error for error in errors if not error.on_request or error.name in requested]
+        least = {error: error.least(presses) for error in counted}
         self.presses = presses
         self.errors = tuple(error for error, level in least.items() if level is not None)
         self.least: Levels = {error.name: level for error, level in least.items() if level}
@@ -63,7 +70,7 @@ class ErrorModel:
         data = presses.problem.data.shifted([old - new for old, new in pairs])
         problem = presses.problem.with_data(data)
         presses = replace(presses, problem=problem, corrections_mm=corrections_mm)
-        other = ErrorModel(presses, self.errors)
+        other = ErrorModel(presses, self.errors, [error.name for error in self.errors])
         other._patterns = self._patterns | other._patterns
         return other
 

@@ -23,7 +23,7 @@ class ContactShift(ErrorSource):
     """
 
     name, elements, proposal = "shift", "linear", "contacts misplaced by {:.0%} of their radius"
-    levels = (0.05, 0.1, 0.2)
+    levels, on_request = (0.05, 0.1, 0.2), True
     note = (
         "The presses are misplaced by about {:.0%} of the radius of their contacts; the intervals "
         "of the lumps account for it. Check the poses of the presses."

@@ -1,7 +1,7 @@
 """The presses of a search for shapes: predictions, data with their errors, fits and trials."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from threading import Lock
 from typing import Any
@@ -52,6 +52,7 @@ class ShapeProblem:
         stop: Called before each step of a fit and each equilibrium of a correction, by one thread
             at a time; once it is true they raise `CancelledError`.
         kept: Errors at rims of an earlier search on fewer presses; those of others are added.
+        requested: Names of errors that are taken into account on request.
 
     Attributes:
         quadratic: The presses with quadratic elements, on which models are judged.
@@ -69,6 +70,7 @@ class ShapeProblem:
         settings: Settings,
         stop: Callable[[], bool] = lambda: False,
         kept: KeptRims | None = None,
+        requested: Collection[str] = (),
     ) -> None:
         self._stop, self._is_stopped, self._lock = stop, False, Lock()
         same, self._element = is_same_model(recording), "tet10"
@@ -102,7 +104,7 @@ class ShapeProblem:
                 at_edge=correction.has_singular_ends,
                 kept=correction.kept,
             )  # fmt: skip
-        self.errors = ErrorModel(presses, ERRORS)
+        self.errors = ErrorModel(presses, ERRORS, requested)
         self.least_errors = self.errors.least
         self._corrected_at: ShapeFit | None = None
         youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa

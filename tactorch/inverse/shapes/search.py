@@ -10,11 +10,13 @@ accepted.
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from typing import Any
 
-from tactorch.errors import CancelledError, ConvergenceError
+from tactorch.config.registry import unknown_choice
+from tactorch.errors import CancelledError, ConfigError, ConvergenceError
+from tactorch.inverse.errors import ERRORS
 from tactorch.inverse.errors.kept import KeptRims
 from tactorch.inverse.palpation import is_palpation
 from tactorch.inverse.settings import Settings
@@ -53,6 +55,7 @@ def find_shapes(
     start: ShapeReconstruction | ShapeState | None = None,
     stop: Callable[[], bool] = lambda: False,
     kept: KeptRims | None = None,
+    errors: Collection[str] = (),
 ) -> ShapeReconstruction:
     """Find the inclusions that the presses determine, with the number that the evidence supports.
 
@@ -72,6 +75,8 @@ def find_shapes(
             whose `reached` is the last accepted model, if there is one.
         kept: What searches on growing presses of an object share: errors at the rims of contacts,
             which are computed for contacts that it does not have.
+        errors: Names of errors that are taken into account on request: "shift", of the contacts
+            along the surface.
 
     Raises:
         CancelledError: see `stop`.
@@ -80,6 +85,9 @@ def find_shapes(
             elements have none where quadratic ones have.
     """
     settings = settings or Settings()
+    known = [error.name for error in ERRORS]
+    for name in set(errors) - set(known):
+        raise ConfigError(unknown_choice("errors", name, known))
     if is_palpation(recording):
         return find_palpation_shapes(
             recording, settings, max_shapes=max_shapes, max_models=_MAX_MODELS, stop=stop
@@ -88,7 +96,7 @@ def find_shapes(
         recording = refined_at_contacts(recording)
     with progress_line("search for inclusions") as update:
         update("elements at the contacts")
-        problem = ShapeProblem(recording, settings, stop, kept)
+        problem = ShapeProblem(recording, settings, stop, kept, errors)
         return _search(problem, start, max_shapes, update)
 
 
