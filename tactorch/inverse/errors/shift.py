@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.inverse.errors.base import ErrorSource, MeasuredPresses
-from tactorch.inverse.palpation import is_palpation
 from tactorch.linalg import map_cases
 from tactorch.mesh import TetMesh
 from tactorch.mesh.tractions import LoadedSurface
@@ -30,10 +29,8 @@ class ContactShift(ErrorSource):
     )
 
     def least(self, presses: MeasuredPresses) -> float | None:
-        """Return zero; there is none without forces, or in a palpation."""
-        recording = presses.problem.recording
-        forces = any(press.forces.any() for press in recording.presses)
-        return 0.0 if forces and not is_palpation(recording) else None
+        """Return zero, or None where no forces are applied."""
+        return 0.0 if any(p.forces.any() for p in presses.problem.recording.presses) else None
 
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
         """Return the changes of the data by shifts along two directions of each contact."""

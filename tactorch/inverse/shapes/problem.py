@@ -20,12 +20,7 @@ from tactorch.inverse.shapes.correction import Correction
 from tactorch.inverse.shapes.field import ShapeField, ShapePrior, Sites
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.matched import MatchedFilter
-from tactorch.inverse.shapes.model import (
-    Model,
-    Start,
-    Trial,
-    falls_short,
-)
+from tactorch.inverse.shapes.model import Model, Start, Trial, falls_short
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
 from tactorch.inverse.starts import uniform_fit
 from tactorch.recording import Recording

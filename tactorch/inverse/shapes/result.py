@@ -147,11 +147,7 @@ class ShapeReconstruction(Displayed):
 
     @property
     def pose_deviation(self) -> float:
-        """Deviation of rigid motions at each contact, over the observed displacements.
-
-        It is at least 0.001 where the presses were not computed on the recording's mesh, for the
-        discretisation.
-        """
+        """Deviation of rigid motions at each contact, over the observed displacements."""
         return self.errors.get("pose", 0.0)
 
     @property
