@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import block_diag
 
+from tactorch.inverse.errors.forces import Forces
 from tactorch.inverse.objective import Point
-from tactorch.inverse.shapes.model import FORCE_DEVIATIONS, MIN_GAIN
+from tactorch.inverse.shapes.model import MIN_GAIN
 from tactorch.linalg import DenseCholesky
 
 _MAX_PARAMETERS = 6_000  # whose normal matrix is solved in each step
@@ -43,11 +44,11 @@ def wrong_forces(point: Point, weight: float) -> float | None:
     patterns = _scale_patterns(point)
     # The optimizer may have ended before the optimum.
     exact = _optimum(point, weight, 0.0 * patterns[:, :1])
-    others = [_optimum(point, weight, level * patterns) for level in FORCE_DEVIATIONS]
+    others = [_optimum(point, weight, level * patterns) for level in Forces.levels]
     best = int(np.argmin([other.value for other in others]))
     gain, penalty = exact.value - others[best].value, others[best].penalty
     is_wrong = gain > MIN_GAIN and penalty < _MAX_STRUCTURE * exact.penalty
-    return FORCE_DEVIATIONS[best] if is_wrong else None
+    return Forces.levels[best] if is_wrong else None
 
 
 class _Optimum(NamedTuple):

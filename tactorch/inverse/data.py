@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.linalg import orth
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
@@ -163,17 +162,6 @@ class Observation:
         return slice(len(self.index))
 
 
-_LEVI_CIVITA = np.stack([np.cross(axis, np.eye(3)).T for axis in np.eye(3)])
-
-
-class ModelError(NamedTuple):
-    """Error of the model's prediction of one press."""
-
-    offset: Float[np.ndarray, " data"]  # better minus present prediction, mm, N or N mm
-    deviation: float  # standard deviation of what remains of displacements, mm
-    force_deviation: float = 0.0  # the same of forces and moments, N or N mm
-
-
 @dataclass(frozen=True, eq=False)
 class DataModel:
     """Observations of all presses with the statistics of their errors; immutable."""
@@ -235,57 +223,6 @@ class DataModel:
         observations = tuple(replace(o, values=o.values + x) for o, x in pairs)
         return replace(self, observations=observations)
 
-    def corrected(
-        self, errors: Sequence[ModelError], points: Float[np.ndarray, "n 3"]
-    ) -> "DataModel":
-        """Return the data with the model's error subtracted and its remainder as uncertainty.
-
-        The remainder is partly rough, and counted as white noise, and partly smooth: it shifts and
-        stretches the whole contact, equally at every pressure. That part is common to all presses
-        at one place; without it the data would seem to determine small uniform motions, such as
-        those of the springs below, better than they do. The points are the nodes of the mesh, mm.
-        """
-        ends, observations = np.cumsum(self.counts), []
-        patterns: dict[bytes, np.ndarray] = {}
-        for before, error, end in zip(self.observations, errors, ends, strict=True):
-            scale = before.scale.copy()
-            for part, deviation in zip(before.units, error[1:], strict=True):
-                scale[part] /= np.sqrt(1.0 + (deviation * scale[part]) ** 2)
-            observations.append(replace(before, values=before.values - error.offset, scale=scale))
-            pattern = smooth_pattern(points, observations[-1], error.deviation)
-            empty = np.zeros((ends[-1], pattern.shape[1]))
-            place = patterns.setdefault(before.index.tobytes(), empty)
-            begin = end - len(before.values)
-            place[begin : begin + len(pattern)] = pattern
-        data = replace(
-            self,
-            observations=tuple(observations),
-            correlated=CorrelatedNoise(np.hstack(list(patterns.values()))),
-            model_deviation=tuple(error.deviation for error in errors),
-        )
-        return replace(data, noise_fraction=float(np.mean((data.scale / self.scale) ** 2)))
-
-
-def smooth_pattern(
-    points: Float[np.ndarray, "n 3"], observation: Observation, deviation: float
-) -> Float[np.ndarray, "p k"]:
-    """Return affine fields over one place, each as large as an error of this deviation (mm).
-
-    They are fields of the nodal displacements. A single one may hold all of the error, so each has
-    its full size. The unit is the standard deviation of the white noise.
-    """
-    index = observation.index
-    if not len(index):
-        return np.zeros((0, 0))
-    positions = points[index // 3]
-    extent = np.ptp(positions, axis=0).max()
-    positions = (positions - positions.mean(axis=0)) / (extent if extent > 0 else 1.0)
-    shapes = np.column_stack([np.ones(len(index)), positions])
-    # At most twelve orthonormal fields.
-    fields = orth(np.hstack([shapes * (index % 3 == a)[:, None] for a in range(3)]), rcond=1e-6)
-    height = deviation * np.sqrt(len(fields) / 3.0)  # a field moves one component
-    return height * observation.scale[observation.nodal, None] * fields
-
 
 def group_by_contact(
     presses: Sequence[Press], observations: Sequence[Observation]
@@ -307,41 +244,3 @@ def group_by_contact(
 def _direction(values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     size = float(np.linalg.norm(values))
     return np.round(values / (size or 1.0), 6) + 0.0  # no negative zeros
-
-
-def rigid_patterns(
-    points: Float[np.ndarray, "n 3"],
-    observations: Sequence[Observation],
-    contacts: Sequence[tuple[int, ...]],
-) -> Float[np.ndarray, "data k"]:
-    """Return rigid motions of each contact, as large as the displacements observed there.
-
-    Presses of one contact move together, each in proportion to the root mean square of its observed
-    displacements. Rotations are about the mean of the observed points, and scaled to the size of
-    the translations. The unit is the standard deviation of the white noise.
-
-    Args:
-        points: Nodes of the mesh, mm.
-        observations: Data of each press.
-        contacts: Presses of each contact, which have the same observed degrees of freedom.
-    """
-    ends = np.cumsum([len(o.values) for o in observations])
-    patterns = []
-    for contact in contacts:
-        index = observations[contact[0]].index
-        if not len(index):
-            continue
-        offsets = points[index // 3] - points[index // 3].mean(axis=0)
-        axes = np.eye(3)[index % 3]
-        turns = np.einsum("kij,dj,di->dk", _LEVI_CIVITA, offsets, axes)
-        fields = orth(np.hstack([axes, turns / max(np.abs(offsets).max(), 1e-12)]), rcond=1e-6)
-        n_axes = len(np.unique(index % 3))  # a translation moves one of them
-        place = np.zeros((ends[-1], fields.shape[1]))
-        for i in contact:
-            observation = observations[i]
-            size = np.linalg.norm(observation.values[observation.nodal]) / np.sqrt(n_axes)
-            begin = ends[i] - len(observation.values)
-            rows = slice(begin, begin + len(index))
-            place[rows] = size * observation.scale[observation.nodal, None] * fields
-        patterns.append(place)
-    return np.hstack(patterns) if patterns else np.zeros((ends[-1], 0))

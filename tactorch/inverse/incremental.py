@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError, ConvergenceError, RecordingError
-from tactorch.inverse.data import ModelError
+from tactorch.inverse.errors.discretisation import ModelError
 from tactorch.inverse.invert import ObjectiveBuilder, warn_of_assumed_noise
 from tactorch.inverse.monitor import Monitor, StopCondition, StopReason
 from tactorch.inverse.objective import Point
@@ -162,7 +162,7 @@ class IncrementalInversion:
             "weight": np.array([state.weight.get(name, np.nan) for name in _WEIGHT]),
             "offsets": np.concatenate(offsets),
             "counts": np.array([len(offset) for offset in offsets], dtype=np.int64),
-            "deviations": np.array([error.deviation for error in errors]),
+            "deviations": np.array([error.deviation_mm for error in errors]),
         }
 
     def restore(self, presses: Sequence[Press], state: Mapping[str, np.ndarray]) -> Point:

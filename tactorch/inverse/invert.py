@@ -14,11 +14,18 @@ from tactorch.config import to_mapping
 from tactorch.errors import CancelledError, ConfigError, TactorchError
 from tactorch.fem import SoftBody
 from tactorch.inverse.criticism import wrong_forces
-from tactorch.inverse.data import ModelError, NoiseModel
+from tactorch.inverse.data import NoiseModel
+from tactorch.inverse.errors import ERRORS, ErrorModel, MeasuredPresses
+from tactorch.inverse.errors.discretisation import (
+    RESIDUAL_MODEL_ERROR,
+    ModelError,
+    corrected,
+    discretisation_error,
+    resolve_model_error,
+)
 from tactorch.inverse.fields import ElementField
 from tactorch.inverse.held_out import held_out_score
 from tactorch.inverse.misfit import MISFITS, Adaptive, Squares
-from tactorch.inverse.model_error import discretisation_error, resolve_model_error
 from tactorch.inverse.monitor import Monitor, StopReason, progress_text
 from tactorch.inverse.objective import Objective, Point
 from tactorch.inverse.optimizers.base import OPTIMIZERS
@@ -29,11 +36,10 @@ from tactorch.inverse.palpation import (
     contacts_of,
     is_palpation,
 )
-from tactorch.inverse.press_errors import error_patterns, has_errors
 from tactorch.inverse.problem import InverseProblem, make_body
 from tactorch.inverse.result.build import config_of, of_elements, of_inclusions
 from tactorch.inverse.result.reconstruction import Reconstruction
-from tactorch.inverse.settings import RESIDUAL_MODEL_ERROR, Settings
+from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.model import MIN_GAIN
 from tactorch.inverse.shapes.search import find_shapes
 from tactorch.inverse.starts import START_MPA, Start, start_map, uniform_fit
@@ -318,23 +324,24 @@ class ObjectiveBuilder:
         remaining = settings.residual_model_error_fraction
         return discretisation_error(problem, fit.youngs_mpa, fit.nuisance, remaining, self._finer)
 
-    def _with_press_errors(self, problem: InverseProblem) -> InverseProblem:
-        """Count the correlated errors of presses, linearised at the best uniform map."""
-        fit = uniform_fit(problem, self.settings.bounds, self.settings.nuisance)
-        uniform = np.full(problem.n_elements, fit.youngs_mpa)
-        evaluation = problem.evaluate(uniform, nuisance=fit.nuisance, chained=True)
-        patterns = error_patterns(evaluation, problem.recording)
-        return problem.with_data(problem.data.with_errors(patterns))
+    def _with_errors(self, problem: InverseProblem) -> InverseProblem:
+        """Count the errors of the simplest model, linearised at the best uniform map."""
+        presses = MeasuredPresses(problem)
+        errors = ErrorModel(presses, [error for error in ERRORS if error.least(presses)])
+        if errors.least:
+            fit = uniform_fit(problem, self.settings.bounds, self.settings.nuisance)
+            uniform = np.full(problem.n_elements, fit.youngs_mpa)
+            evaluation = problem.evaluate(uniform, nuisance=fit.nuisance, chained=True)
+            errors.linearise(evaluation, "linear", "quadratic")
+        return problem.with_data(errors.data(errors.least))
 
     def objective(self, problem: InverseProblem, errors: Sequence[ModelError]) -> Objective:
         """Combine data, corrected for the model's error, with parameterisation and prior."""
         settings, mesh = self.settings, problem.recording.mesh
         if errors:
-            problem = problem.with_data(problem.data.corrected(errors, mesh.points))
-        if has_errors(problem.recording):
-            problem = self._with_press_errors(problem)
+            problem = corrected(problem, errors)
         objective = Objective(
-            problem,
+            self._with_errors(problem),
             ElementField(
                 replace(settings.parameterization, bounds=settings.bounds),
                 settings.regularization.on(mesh),

@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 import torch
 from jaxtyping import Float, Int
 
@@ -32,7 +31,6 @@ from tactorch.linalg import SharedLease, SolverOptions, map_cases
 from tactorch.linalg.parallel import worker_count
 from tactorch.recording import Recording
 
-_MIN_MOMENT = 0.01  # of the loaded points along an axis, over the largest
 _MAX_RELATIVE_CHANGE = 0.5  # of a modulus, for which du/de predicts u
 
 
@@ -277,36 +275,6 @@ class Evaluation:
 
         return map_cases(work, len(cases))
 
-    def force_patterns(self, smallest: float = 0.0) -> Float[np.ndarray, "data k"]:
-        """Return the changes of the data by relative errors of the forces of each press.
-
-        The errors are those of its forces as a whole, of gradients of unit root mean square along
-        the principal axes of its loaded nodes, and of each nodal force, all of unit deviation. The
-        patterns are orthogonal for each press, and the products with their transpose are those of
-        all these errors. Where nothing is applied the error is that of the measured forces as a
-        whole. The unit is the standard deviation of the white noise; patterns of a norm below
-        `smallest` are left out.
-        """
-        cases, data = self.sensitivities, self.data.observations
-        points = self._presses[0].newton.assembly.points
-
-        def work(i: int) -> np.ndarray:
-            forces = self._presses[i].model.forces
-            nodes = np.flatnonzero((forces != 0.0).any(axis=1))
-            if not len(nodes):  # moved by a probe, prescribed displacements or its weight
-                measured = data[i].scale * data[i].values
-                measured[data[i].units[0]] = 0.0
-                count = int(np.linalg.norm(measured) > smallest)
-                return measured[:, None][:, :count]
-            shapes = [*_gradients(points, forces), *np.eye(len(points))[nodes]]
-            columns = self.load_response(i, [forces * shape[:, None] for shape in shapes])
-            basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-            kept = sizes > smallest
-            return basis[:, kept] * sizes[kept]
-
-        blocks = map_cases(work, len(cases))
-        return sp.block_diag(blocks).toarray()
-
     def load_response(
         self, number: int, changes: Sequence[Float[np.ndarray, "n 3"]]
     ) -> Float[np.ndarray, "data k"]:
@@ -379,20 +347,6 @@ class Evaluation:
         return self.moved(
             map_cases(lambda i: cases[i].linearization.displacement_change(change), len(cases))
         )
-
-
-def _gradients(
-    points: Float[np.ndarray, "n 3"], forces: Float[np.ndarray, "n 3"]
-) -> list[Float[np.ndarray, " n"]]:
-    """Return unity, and linear functions of unit mean square over the loaded points."""
-    sizes = np.linalg.norm(forces, axis=1)
-    weights = sizes / sizes.sum()
-    offsets = points - weights @ points
-    moments, axes = np.linalg.eigh((offsets * weights[:, None]).T @ offsets)
-    # A flat contact has two axes; a single loaded point has none.
-    wide = moments > _MIN_MOMENT * moments[-1]
-    wide &= moments > 0.0
-    return [np.ones(len(points)), *(offsets @ axes[:, wide] / np.sqrt(moments[wide])).T]
 
 
 class InverseProblem:

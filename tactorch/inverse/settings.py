@@ -8,6 +8,7 @@ from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.fem import NewtonOptions
 from tactorch.inverse.data import NoiseModel
+from tactorch.inverse.errors.discretisation import RESIDUAL_MODEL_ERROR
 from tactorch.inverse.misfit import Misfit, Squares
 from tactorch.inverse.nuisance import NuisancePrior
 from tactorch.inverse.optimizers.base import Optimizer
@@ -16,11 +17,6 @@ from tactorch.inverse.parameterization import Bounds, Log, Parameterization
 from tactorch.inverse.regularization.base import Prior
 from tactorch.inverse.regularization.sharp import TotalVariation
 from tactorch.linalg.solver import AutoSolver, SolverOptions
-
-# What the correction for the mesh leaves of its error, measured with truth on cubes whose balls are
-# two to four elements across: 0.13 to 0.41. It is less where elements are small relative to the
-# features: 0.00 to 0.15 on random balls in a mesh of 65,000 elements (`benchmarks/breast.py`).
-RESIDUAL_MODEL_ERROR = 1.0 / 3.0
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ from jaxtyping import Float
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, ConvergenceError, RecordingError
 from tactorch.inverse import InverseProblem, Point, Settings, ShapeReconstruction
-from tactorch.inverse.data import CorrelatedNoise, smooth_pattern
+from tactorch.inverse.data import CorrelatedNoise
+from tactorch.inverse.errors.discretisation import smooth_pattern
 from tactorch.inverse.posterior import GaussianPosterior
 from tactorch.recording import Press, Recording
 from tactorch.sampling.candidates import Candidates, InferredCandidates, Patch

@@ -26,7 +26,7 @@ from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes import Interval, ShapeReconstruction
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
-from tactorch.inverse.shapes.model import Errors, Model
+from tactorch.inverse.shapes.model import Model
 from tactorch.inverse.shapes.posterior import Normal, ShapePosterior
 from tactorch.inverse.shapes.problem import ShapeProblem, is_same_model
 from tactorch.inverse.shapes.result import InclusionValues
@@ -276,7 +276,8 @@ class _ExactPosterior:
         """Return the posterior with the data, errors and corrections of a result."""
         if not is_same_model(recording):
             recording = refined_at_contacts(recording)
-        problem, approximation = ShapeProblem(recording, settings), result.posterior
+        problem = ShapeProblem(recording, settings, requested=result.errors)
+        approximation = result.posterior
         evaluation = _predict(problem, result)
         family = ShapesOnSites(approximation.field, problem.sites)
         _, fields = evaluation.linear_response(family.at(approximation.z).changes)
@@ -327,9 +328,7 @@ def _predict(problem: ShapeProblem, result: ShapeReconstruction) -> Evaluation:
     Raises:
         ConvergenceError: a press has no equilibrium, on the mesh or on the finer ones.
     """
-    errors = Errors(result.force_deviation, result.pose_deviation, result.rim_deviation)
-    if errors.forces or errors.rims:
-        problem.uniform()  # whose predictions give the effects of errors of the forces
+    errors = problem.errors.at_least(result.errors)
     quadratic = problem.quadratic.with_data(problem.data(errors))
     field, z = result.posterior.field, result.posterior.z
     model = Model(*fit_shapes(quadratic, field, z, sites=problem.sites, max_iterations=0), errors)

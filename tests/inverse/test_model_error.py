@@ -1,6 +1,5 @@
 """Against truth from a finer mesh: the correction must take away most of what the mesh adds."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,8 +7,11 @@ import pytest
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import InverseProblem, Settings, best_uniform, invert_map, make_objective
-from tactorch.inverse.data import ModelError
-from tactorch.inverse.model_error import discretisation_error, resolve_model_error
+from tactorch.inverse.errors.discretisation import (
+    corrected,
+    discretisation_error,
+    resolve_model_error,
+)
 from tactorch.metrics import pearson
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
@@ -30,11 +32,6 @@ def _distance(problem: InverseProblem, youngs: np.ndarray) -> float:
     return float(np.sqrt(2.0 * problem.evaluate(youngs).misfit_mm2))
 
 
-def corrected(problem: InverseProblem, errors: Sequence[ModelError]) -> InverseProblem:
-    points = problem.recording.mesh.points
-    return problem.with_data(problem.data.corrected(errors, points))
-
-
 def test_the_correction_takes_away_most_of_the_meshs_error(finer: Recording):
     assert finer.truth is not None
     problem = InverseProblem(finer)
@@ -49,7 +46,7 @@ def test_what_is_left_is_of_the_size_that_it_says(finer: Recording):
     errors = discretisation_error(problem, best_uniform(problem))
     problem = corrected(problem, errors)
     left = _distance(problem, finer.truth) / np.sqrt(problem.n_data)
-    assert 0.3 < left / np.mean([error.deviation for error in errors]) < 2.0
+    assert 0.3 < left / np.mean([error.deviation_mm for error in errors]) < 2.0
 
 
 def test_deviations_add_up_in_squares(finer: Recording):
@@ -59,7 +56,7 @@ def test_deviations_add_up_in_squares(finer: Recording):
     stated, problem = problem.data, corrected(problem, errors)
     np.testing.assert_array_equal(1.0 / stated.observations[0].scale, before)  # untouched
     after = 1.0 / problem.data.observations[0].scale
-    assert np.allclose(after**2, before**2 + errors[0].deviation ** 2)
+    assert np.allclose(after**2, before**2 + errors[0].deviation_mm ** 2)
     shares = [(b / a) ** 2 for b, a in zip(before, after, strict=True)]
     assert problem.data.noise_fraction == pytest.approx(np.mean(shares))
 
@@ -73,7 +70,7 @@ def test_what_the_presses_of_one_place_share_is_counted_once(cube: Recording):
     assert problem.data.correlated is not None
     shift = np.concatenate(
         [
-            0.1 * (observation.index % 3 == 2) * error.deviation * observation.scale
+            0.1 * (observation.index % 3 == 2) * error.deviation_mm * observation.scale
             for observation, error in zip(problem.data.observations, errors, strict=True)
         ]
     )
@@ -131,10 +128,10 @@ def test_unusable_settings_are_refused(recording: Recording):
 def test_the_share_that_is_left_scales_the_uncertainty(cube: Recording):
     problem = InverseProblem(cube)
     third, none = (discretisation_error(problem, 0.3, remaining=left) for left in (1.0 / 3.0, 0.0))
-    assert [error.deviation for error in none] == [0.0] * len(cube.presses)
-    for offset, deviation, force_deviation in third:
-        assert deviation == pytest.approx(np.sqrt(np.mean(offset**2)) / 3.0)
-        assert force_deviation == 0.0  # no force is measured
+    assert [error.deviation_mm for error in none] == [0.0] * len(cube.presses)
+    for offset, deviation_mm, deviation_n in third:
+        assert deviation_mm == pytest.approx(np.sqrt(np.mean(offset**2)) / 3.0)
+        assert deviation_n == 0.0  # no force is measured
     with pytest.raises(ConfigError, match=r"residual_model_error_fraction=-0\.1"):
         Settings(residual_model_error_fraction=-0.1)
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from tactorch.inverse import InverseProblem, Settings
+from tactorch.inverse.errors import MeasuredPresses
+from tactorch.inverse.errors.stated import Stated
 from tactorch.inverse.invert import make_objective
-from tactorch.inverse.press_errors import error_patterns, has_errors
 from tactorch.inverse.shapes import find_shapes
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
@@ -49,7 +50,9 @@ def test_patterns_are_changes_of_the_residuals(
 ) -> None:
     given = with_errors(recording, np.zeros(10))
     problem = InverseProblem(given, element=element)
-    found = error_patterns(problem.evaluate(moduli), given, smallest=0.0)
+    stated = Stated()
+    stated.smallest = 0.0
+    found = stated.patterns(MeasuredPresses(problem, linearised=problem.evaluate(moduli)))
 
     def residuals(numbers: np.ndarray) -> np.ndarray:
         other = InverseProblem(with_errors(recording, numbers), element=element)
@@ -78,18 +81,18 @@ def test_residuals_are_as_large_as_the_errors_allow(recording: Recording) -> Non
     noisy = replace(given, presses=tuple(replace(p, noise_mm=1e-4) for p in given.presses))
     problem = InverseProblem(noisy)
     evaluation = problem.evaluate(truth)
-    data = problem.data.with_errors(error_patterns(evaluation, noisy))
+    patterns = Stated().patterns(MeasuredPresses(problem, linearised=evaluation))
+    data = problem.data.with_errors(patterns)
     squares = [float(np.sum(d.whiten(evaluation.residuals) ** 2)) for d in (problem.data, data)]
     assert squares[1] < 40.0  # twenty numbers of unit deviation
     assert squares[0] > 100.0
 
 
 def test_a_map_counts_them(recording: Recording) -> None:
-    assert not has_errors(recording)
-    assert has_errors(with_errors(recording, None))
     problems = [
         make_objective(r, Settings()).problem for r in (recording, with_errors(recording, None))
     ]
+    assert [Stated().least(MeasuredPresses(problem)) for problem in problems] == [None, 1.0]
     correlated = [problem.data.correlated for problem in problems]
     assert correlated[0] is None
     assert correlated[1] is not None

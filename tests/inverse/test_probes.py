@@ -10,10 +10,12 @@ from tactorch.fem import NewtonOptions
 from tactorch.fem.contact import Ball, FlatPunch
 from tactorch.inverse import IncrementalInversion, InverseProblem, NoiseModel, find_shapes
 from tactorch.inverse.data import Observation, group_by_contact
+from tactorch.inverse.errors import MeasuredPresses
+from tactorch.inverse.errors.forces import Forces
+from tactorch.inverse.errors.pose import Pose
 from tactorch.inverse.fields import FAMILIES, ShapeField, ShapePrior, Sites
+from tactorch.inverse.footprint import Footprint, largest_depth, loaded_nodes
 from tactorch.inverse.nuisance import NuisancePrior
-from tactorch.inverse.shapes.footprint import Footprint, largest_depth, loaded_nodes
-from tactorch.inverse.shapes.poses import probe_patterns
 from tactorch.inverse.starts import uniform_fit
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.recording import (
@@ -116,8 +118,9 @@ def test_motions_of_probes_are_finite_differences(recording: Recording) -> None:
 
 
 def test_presses_at_one_place_share_the_error_of_the_pose(recording: Recording) -> None:
-    evaluation = _problem(recording).evaluate(YOUNGS)
-    patterns = probe_patterns(recording, evaluation)
+    problem = _problem(recording)
+    evaluation = problem.evaluate(YOUNGS)
+    patterns = Pose().patterns(MeasuredPresses(problem, linearised=evaluation))
     assert patterns.shape == (29, 6)  # two places
     motions = evaluation.probe_motions()
     np.testing.assert_allclose(patterns[:8, :3], 1.0 * np.vstack(motions[:2]), rtol=2e-3)
@@ -138,7 +141,7 @@ def test_the_uniform_modulus_follows_from_forces_alone(recording: Recording) -> 
 
 def test_force_patterns_are_relative_errors_of_the_measured_force(recording: Recording) -> None:
     evaluation = _problem(recording).evaluate(YOUNGS)
-    patterns = evaluation.force_patterns()
+    patterns = Forces().patterns(MeasuredPresses(_problem(recording), linearised=evaluation))
     assert patterns.shape == (29, 3)
     first = recording.presses[0].force
     np.testing.assert_allclose(patterns[:4, 0], first.values / first.deviations)

@@ -9,8 +9,11 @@ import torch
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import ELEMENTS, SoftBody, Supports, make_material
-from tactorch.inverse import InverseProblem, NoiseModel
-from tactorch.inverse.data import Observation, group_by_contact, rigid_patterns, signal_rms
+from tactorch.inverse import Evaluation, InverseProblem, NoiseModel
+from tactorch.inverse.data import DataModel, Observation, group_by_contact, signal_rms
+from tactorch.inverse.errors import MeasuredPresses
+from tactorch.inverse.errors.forces import Forces
+from tactorch.inverse.errors.pose import RigidMotion
 from tactorch.linalg import limit_workers
 from tactorch.recording import Press, Recording
 
@@ -322,11 +325,17 @@ def test_the_last_linear_response_is_kept_with_other_data(
         np.testing.assert_allclose(column, wider.jacobian_times(change), rtol=1e-9)
 
 
+def force_patterns(problem: InverseProblem, evaluation: Evaluation, smallest: float) -> np.ndarray:
+    forces = Forces()
+    forces.smallest = smallest
+    return forces.patterns(MeasuredPresses(problem, linearised=evaluation))
+
+
 def test_force_patterns_are_changes_by_errors_of_the_forces(
     recording: Recording, moduli: np.ndarray
 ) -> None:
     problem = InverseProblem(recording)
-    patterns = problem.evaluate(moduli).force_patterns()
+    patterns = force_patterns(problem, problem.evaluate(moduli), 0.0)
     counts, step = problem.data.counts, 1e-5
     forces, points = recording.presses[0].forces, recording.mesh.points
     loaded = np.flatnonzero(forces.any(axis=1))
@@ -362,17 +371,18 @@ def test_a_press_without_forces_has_no_force_patterns(
     prescribed[fixed] = -0.1
     moved = {"forces": np.zeros_like(forces), "fixed": fixed, "prescribed": prescribed}
     problem = InverseProblem(with_press(recording, 0, **moved))
-    patterns = problem.evaluate(moduli).force_patterns()
+    patterns = force_patterns(problem, problem.evaluate(moduli), 0.0)
     assert len(patterns) == sum(problem.data.counts)
     assert not patterns[: problem.data.counts[0]].any()
     assert patterns.any()
 
 
 def test_small_force_patterns_are_left_out(recording: Recording, moduli: np.ndarray) -> None:
-    evaluation = InverseProblem(recording).evaluate(moduli)
-    norms = np.linalg.norm(evaluation.force_patterns(), axis=0)
+    problem = InverseProblem(recording)
+    evaluation = problem.evaluate(moduli)
+    norms = np.linalg.norm(force_patterns(problem, evaluation, 0.0), axis=0)
     middle = float(np.median(norms))
-    kept = np.linalg.norm(evaluation.force_patterns(middle), axis=0)
+    kept = np.linalg.norm(force_patterns(problem, evaluation, middle), axis=0)
     np.testing.assert_allclose(np.sort(kept), np.sort(norms[norms > middle]))
 
 
@@ -384,8 +394,9 @@ def test_rigid_patterns_are_motions_of_a_place(recording: Recording) -> None:
     other = next(
         o for o in others if len(o.index) != len(first.index) or (o.index != first.index).any()
     )
-    data = [first, replace(first, values=2.0 * first.values), other]
-    patterns = rigid_patterns(points, data, [(0, 1), (2,)])
+    data = DataModel((first, replace(first, values=2.0 * first.values), other))
+    presses = MeasuredPresses(problem.with_data(data), [(0, 1), (2,)])
+    patterns = RigidMotion().patterns(presses)
     n = len(first.index)
     assert patterns.shape == (2 * n + len(other.index), 12)
     np.testing.assert_allclose(patterns[n : 2 * n, :6], 2.0 * patterns[:n, :6])
@@ -407,10 +418,12 @@ def test_rigid_patterns_are_motions_of_a_place(recording: Recording) -> None:
 
 def test_rigid_patterns_of_one_observed_axis(recording: Recording) -> None:
     """A shift, and two turns about axes in the plane, of the whole size of the displacement."""
-    first = InverseProblem(recording).data.observations[0]
+    problem = InverseProblem(recording)
+    first = problem.data.observations[0]
     kept = first.index % 3 == 2
     single = Observation(first.index[kept], first.values[kept], first.scale[kept])
-    span = rigid_patterns(recording.mesh.points, [single], [(0,)]) / single.scale[:, None]
+    presses = MeasuredPresses(problem.with_data(DataModel((single,))), [(0,)])
+    span = RigidMotion().patterns(presses) / single.scale[:, None]
     assert span.shape == (kept.sum(), 3)
     part = np.linalg.lstsq(span, np.ones(kept.sum()), rcond=None)[0]
     rms = np.linalg.norm(single.values) / np.sqrt(kept.sum())

@@ -9,6 +9,7 @@ import scipy.integrate
 
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.fem import ELEMENTS, NewtonOptions
+from tactorch.inverse.errors import ERRORS, ErrorModel, MeasuredPresses
 from tactorch.inverse.fields import (
     BALL,
     ELLIPSOID,
@@ -28,7 +29,6 @@ from tactorch.inverse.shapes import fit as shape_fit
 from tactorch.inverse.shapes.correction import Correction, _LoadSeries
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.model import (
-    Errors,
     Model,
     Start,
     make_posterior,
@@ -230,11 +230,15 @@ def test_models_are_changed_without_a_change_of_what_remains():
     np.testing.assert_allclose(fewer.log_youngs(rest, sites)[outside], before[outside])
 
 
-def test_other_errors_differ_in_one_respect():
-    others = dict(Errors(0.05, 0.001).others(Errors(0.0, 0.001), False))
-    assert {errors.forces for errors in others.values()} == {0.0, 0.02, 0.05, 0.1}
-    assert {errors.pose for errors in others.values()} == {0.001, 0.002, 0.01, 0.05}
-    assert all((e.forces == 0.05) != (e.pose == 0.001) for e in others.values())
+def test_other_errors_differ_in_one_respect(problem):
+    nothing = [np.zeros(count) for count in problem.data.counts]
+    errors = ErrorModel(MeasuredPresses(problem, corrections_mm=nothing), ERRORS)
+    assert errors.least == {"discretisation": 0.3, "pose": 0.001}
+    others = dict(errors.others({**errors.least, "forces": 0.05}))
+    assert {e.get("forces", 0.0) for e in others.values()} == {0.0, 0.02, 0.05, 0.1}
+    assert {e["pose"] for e in others.values()} == {0.001, 0.002, 0.01, 0.05}
+    assert all((e.get("forces") == 0.05) != (e["pose"] == 0.001) for e in others.values())
+    assert set(others) >= {"forces wrong by 0%", "poses wrong by 0.2%"}
 
 
 def test_distance_and_inside_agree():
@@ -341,7 +345,7 @@ def test_a_start_that_the_presses_contradict_is_removed(uniform_recording):
 def test_a_background_that_varies_gives_way_to_inclusions(recording, found):
     """A varying background is not kept beside a ball that explains as much."""
     field, z = varied(found.field, found.z, degree=2)
-    start = ShapeState(field, z, 0.0, 0.001, 0.0)
+    start = ShapeState(field, z, {"pose": 0.001})
     result = find_shapes(recording, max_shapes=1, start=start)
     assert result.history[1]["model"] == "uniform background"
     assert result.field.background.degree == 0
@@ -353,7 +357,7 @@ def test_a_search_starts_from_a_uniform_body_rather_than_from_a_background_alone
 ):
     problem = ShapeProblem(uniform_recording, Settings())
     field = ShapeField(problem.prior, background=Background(degree=2))
-    state = ShapeState(field, np.full(field.size, 0.5), 0.0, 0.001, 0.0)
+    state = ShapeState(field, np.full(field.size, 0.5), {"pose": 0.001})
     model, history = _first(problem, state)
     assert history[0]["model"] == "uniform"
     assert model.fit.field.background.degree == 0
@@ -456,9 +460,7 @@ def test_errors_of_the_pose_are_recognised(uniform_recording):
     assert result.pose_deviation >= 0.01
     assert result.inclusions == []
     assert result.background_mpa == pytest.approx(0.2, rel=0.1)
-    plain = result.plain()
-    del plain["pose_deviation"]  # as in files of earlier versions
-    assert ShapeReconstruction.of(plain).pose_deviation == 0.0
+    assert ShapeReconstruction.of(result.plain()).errors == result.errors
 
 
 def test_a_correction_that_fails_leaves_the_model(recording, monkeypatch, caplog):
@@ -597,11 +599,12 @@ def test_the_posterior_of_a_ball_is_that_of_an_ellipsoid(recording):
     presses = ShapeProblem(recording, Settings())
     field = ShapeField(presses.prior, (BALL,))
     values = np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.5), np.log(5.0)])
-    problem = presses.quadratic.with_data(presses.data(Errors(0.0, 0.002)))
+    errors = {"pose": 0.002}
+    problem = presses.quadratic.with_data(presses.data(errors))
     fit, evaluation = fit_shapes(
         problem, field, field.standard(values), sites=presses.sites, max_iterations=0
     )
-    posterior = make_posterior(Model(fit, evaluation, Errors(0.0, 0.002)), presses.sites)
+    posterior = make_posterior(Model(fit, evaluation, errors), presses.sites)
     assert posterior.field.families == (ELLIPSOID,)
     assert posterior.covariance[4, 4] > 1.02 * fit.covariance[4, 4] * max(1.0, fit.chi2)
     other = replace(field, families=(ELLIPSOID,))

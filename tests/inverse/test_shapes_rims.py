@@ -10,20 +10,23 @@ from tactorch.fem import Discretisation
 from tactorch.fem.elements import ELEMENTS
 from tactorch.files import write_json
 from tactorch.inverse import Settings
+from tactorch.inverse.errors import MeasuredPresses
+from tactorch.inverse.errors.kept import KeptRims
+from tactorch.inverse.errors.rims import (
+    EDGE_DEVIATION,
+    Rims,
+    _midside_loads,
+    rim_edges,
+)
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.shapes.correction import Correction
 from tactorch.inverse.shapes.fit import fit_shapes
-from tactorch.inverse.shapes.kept import KeptRims
 from tactorch.inverse.shapes.model import (
-    EDGE_DEVIATION,
-    RIM_DEVIATIONS,
-    Errors,
     make_posterior,
 )
 from tactorch.inverse.shapes.problem import ShapeProblem
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
-from tactorch.inverse.shapes.rims import _midside_loads, rim_edges, rim_patterns
 from tactorch.inverse.shapes.sizing import Rim
 from tactorch.mesh import box_mesh
 from tactorch.mesh.tractions import LoadedSurface
@@ -93,14 +96,19 @@ def test_patterns_explain_the_traction_that_ends_within_triangles(recording, pro
     case, observation = evaluation.sensitivities[1], evaluation.data.observations[1]
     (moved,) = case.linearization.force_response(change[None])
     error = case.observe(moved) * observation.scale
-    patterns = rim_patterns(recording, evaluation, contacts, 0.0)
+    rims = [(numbers, rim.nodes) for numbers, rim in contacts]
+    presses = MeasuredPresses(problem, linearised=evaluation, rims=rims)
+    rims_error = Rims()
+    rims_error.smallest = 0.0
+    patterns = rims_error.patterns(presses)
     first, second = np.split(patterns, [len(evaluation.data.observations[0].index)])
     amplitudes = np.linalg.lstsq(second, error, rcond=1e-6)[0]
     assert np.linalg.norm(error) > 1.0
     assert np.linalg.norm(second @ amplitudes - error) < 0.15 * np.linalg.norm(error)
     # In units of its own noise, half the pressure has the same changes but for the deformation.
     np.testing.assert_allclose(first, second, atol=0.1 * np.abs(second).max())
-    few = rim_patterns(recording, evaluation, contacts, 1.0)
+    rims_error.smallest = 1.0
+    few = rims_error.patterns(presses)
     assert 0 < few.shape[1] < patterns.shape[1]
     assert np.linalg.norm(few, axis=0).min() > 1.0
 
@@ -140,15 +148,15 @@ def test_errors_at_rims_are_kept_while_the_moduli_there_remain(recording, proble
 
 def test_the_search_may_take_tractions_at_rims_as_wrong(recording):
     presses = ShapeProblem(replace(recording, provenance={}), Settings())
-    assert presses.has_rims
     presses.uniform()
-    levels = [errors.rims for _, errors in presses.least_errors.others(presses.least_errors, True)]
-    assert set(levels) == {0.0, *RIM_DEVIATIONS}
-    small, large = (presses.data(Errors(0.0, 0.001, rims)) for rims in (0.1, 0.5))
-    assert presses.data(Errors(0.0, 0.001)).log_determinant < small.log_determinant
+    levels = [e.get("rims", 0.0) for _, e in presses.errors.others(presses.least_errors)]
+    assert set(levels) == {0.0, *Rims.levels}
+    small, large = (presses.data({**presses.least_errors, "rims": rims}) for rims in (0.1, 0.5))
+    assert presses.data(presses.least_errors).log_determinant < small.log_determinant
     assert small.log_determinant < large.log_determinant
     whole = simulate(make_phantom("uniform_cube"), PressPlan(("z+",), (0.01,)), mesh=MESH)
-    assert not ShapeProblem(replace(whole, provenance={}), Settings()).has_rims
+    whole_presses = ShapeProblem(replace(whole, provenance={}), Settings())
+    assert "rims" not in [error.name for error in whole_presses.errors.errors]
 
 
 def test_the_traction_of_a_sensor_is_uncertain_at_edges_of_the_body():
@@ -166,21 +174,22 @@ def test_the_traction_of_a_sensor_is_uncertain_at_edges_of_the_body():
     errors = PressErrors(on_side, 1e-3 * one, one)
     measured = replace(whole, presses=tuple(replace(p, errors=errors) for p in whole.presses))
     presses = ShapeProblem(measured, Settings())
-    assert presses.least_errors == Errors(0.0, 0.001, EDGE_DEVIATION)
-    levels = [errors.rims for _, errors in presses.least_errors.others(presses.least_errors, True)]
+    least = {"discretisation": 0.3, "stated": 1.0, "pose": 0.001, "rims": EDGE_DEVIATION}
+    assert presses.least_errors == least
+    levels = [errors["rims"] for _, errors in presses.errors.others(least)]
     assert [level for level in levels if level != EDGE_DEVIATION] == [0.5]
     model = presses.uniform()
-    without = presses.data(model.errors._replace(rims=0.0))
+    without = presses.data({**model.errors, "rims": 0.0})
     assert without.log_determinant < presses.data(model.errors).log_determinant
-    before = ShapeState(ShapeField(presses.prior), np.zeros(1), 0.0, 0.001, 0.0)
-    assert presses.continued(before).errors.rims == EDGE_DEVIATION
+    before = ShapeState(ShapeField(presses.prior), np.zeros(1), {})
+    assert presses.continued(before).errors == least
 
 
 def test_a_search_starts_from_the_deviation_at_rims_of_another(recording):
     presses = ShapeProblem(replace(recording, provenance={}), Settings())
     field = ShapeField(presses.prior)
-    model = presses.first(presses.continued(ShapeState(field, np.zeros(1), 0.0, 0.001, 0.2)))
-    assert model.errors == Errors(0.0, 0.001, 0.2)
+    model = presses.first(presses.continued(ShapeState(field, np.zeros(1), {"rims": 0.2})))
+    assert model.errors == {"discretisation": 0.3, "pose": 0.001, "rims": 0.2}
     assert np.exp(field.physical(model.fit.z)[0]) == pytest.approx(0.2, rel=0.1)
 
 
@@ -189,9 +198,14 @@ def test_the_result_states_the_deviation_at_rims(recording, tmp_path):
     model = presses.uniform()
     posterior = make_posterior(model, presses.sites)
     result = ShapeReconstruction(model.fit.field, model.fit.z, posterior, 1.0, (), 0.0)
-    plain = replace(result, rim_deviation=0.2).plain()
+    plain = replace(result, errors={"rims": 0.2}).plain()
     assert ShapeReconstruction.of(plain).rim_deviation == 0.2
     write_json(tmp_path / "shapes.json", plain)
     assert tactorch.load(tmp_path / "shapes.json").rim_deviation == 0.2
-    del plain["rim_deviation"]  # as in files of earlier versions
-    assert ShapeReconstruction.of(plain).rim_deviation == 0.0
+    del plain["errors"]  # as in files of earlier versions
+    plain["force_deviation"] = 0.05
+    assert ShapeReconstruction.of(plain).errors == {"forces": 0.05}
+    plain |= {"pose_deviation": 0.001, "rim_deviation": 0.1}
+    assert ShapeReconstruction.of(plain).errors == {"forces": 0.05, "pose": 0.001, "rims": 0.1}
+    plain["prior"]["outside_mm"] = 1.0  # of a palpation
+    assert ShapeReconstruction.of(plain).errors["smooth_forces"] == 0.05

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactorch.inverse.fields import BALL, ELLIPSOID, ShapeField, ShapePrior
-from tactorch.inverse.shapes.fit import ShapeFit
-from tactorch.inverse.shapes.matched import Balls, Candidate
-from tactorch.inverse.shapes.model import with_ball
-from tactorch.inverse.shapes.smooth_errors import (
+from tactorch.inverse.errors.smooth_forces import (
     border_distances,
     correlation_length,
     smooth_error_patterns,
 )
+from tactorch.inverse.fields import BALL, ELLIPSOID, ShapeField, ShapePrior
+from tactorch.inverse.shapes.fit import ShapeFit
+from tactorch.inverse.shapes.matched import Balls, Candidate
+from tactorch.inverse.shapes.model import with_ball
 from tactorch.mesh import box_mesh
 
 

@@ -13,7 +13,7 @@ from tactorch.inverse.fields import BALL, ELLIPSOID, ShapeField, ShapePrior
 from tactorch.inverse.shapes import ShapeReconstruction
 from tactorch.inverse.shapes.correction import Correction
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
-from tactorch.inverse.shapes.model import MIN_GAIN, Errors, Model, Start, gain, make_posterior
+from tactorch.inverse.shapes.model import MIN_GAIN, Model, Start, gain, make_posterior
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.inverse.shapes.problem import ShapeProblem
 from tactorch.inverse.shapes.result import InclusionValues
@@ -51,7 +51,7 @@ def recording():
 def reconstruct(presses: ShapeProblem, model: Model) -> ShapeReconstruction:
     """Return the result of a search that ends at a model of one ball."""
     fit, posterior = model.fit, make_posterior(model, presses.sites)
-    return ShapeReconstruction(fit.field, fit.z, posterior, fit.chi2, (9.0,), 9.0, *model.errors)
+    return ShapeReconstruction(fit.field, fit.z, posterior, fit.chi2, (9.0,), 9.0, model.errors)
 
 
 @pytest.fixture(scope="module")
@@ -270,7 +270,8 @@ def test_the_predictions_are_those_of_the_search(recording, monkeypatch):
     presses = ShapeProblem(other, Settings())
     displacements = presses.uniform().evaluation.displacements
     field = ShapeField(presses.prior, (BALL,))
-    start = Start("ball", field, field.standard(VALUES), Errors(0.02, 0.002))
+    errors = {**presses.least_errors, "forces": 0.02, "pose": 0.002}
+    start = Start("ball", field, field.standard(VALUES), errors)
     model = presses.final(presses.fit(start, displacements))
     result = reconstruct(presses, model)
     exact = _ExactPosterior.of(other, result, Settings())

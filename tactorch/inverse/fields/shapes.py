@@ -69,7 +69,8 @@ class ShapeField:
 
     @cached_property
     def _scale(self) -> tuple[np.ndarray, np.ndarray]:
-        scales = [part.scale(self.prior) for part in (self.background, *self.families)]
+        kinds: tuple[Background | Family, ...] = (self.background, *self.families)
+        scales = [kind.scale(self.prior) for kind in kinds]
         mean, deviation = map(np.concatenate, zip(*scales, strict=True))
         return mean, deviation
 
@@ -158,11 +159,13 @@ class ShapeField:
         """
         other, values = replace(self, **changes), self.physical(z)
         parts = [slice(self.n_background), *self.parts]
-        kinds = zip((self.background, *self.families), parts, strict=True)
-        known = [dict(zip(kind.parameters, values[part], strict=True)) for kind, part in kinds]
+        kinds: tuple[Background | Family, ...] = (self.background, *self.families)
+        others: tuple[Background | Family, ...] = (other.background, *other.families)
+        pairs = zip(kinds, parts, strict=True)
+        known = [dict(zip(kind.parameters, values[part], strict=True)) for kind, part in pairs]
         new = [
             mine.get(name, 0.0)
-            for kind, mine in zip((other.background, *other.families), known, strict=True)
+            for kind, mine in zip(others, known, strict=True)
             for name in kind.parameters
         ]
         return other, other.standard(np.array(new))

@@ -52,7 +52,7 @@ def of_inclusions(
         background_mpa=shapes.background_mpa,
         probability=shapes.probability,
         reasons=reasons,
-        warnings=warnings_of(recording, shapes),
+        warnings=warnings_of(shapes),
         shapes=shapes,
     )
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tactorch.inverse.palpation import is_palpation
+from tactorch.inverse.errors import ERRORS
 from tactorch.inverse.result.elongation import Elongation
 from tactorch.inverse.result.lump import Confidence, Lump, measure_depth
 from tactorch.inverse.shapes.result import ShapeInclusion, ShapeReconstruction
@@ -11,7 +11,6 @@ from tactorch.recording import Recording
 
 # Part of the displacements that is neither explained nor noise, above which nothing can be told.
 MAX_UNEXPLAINED = 0.1
-_MIN_NOTED_POSE = 0.005  # relative deviation above that of the discretisation
 _MIN_PROBABILITY = 0.9  # of a lump that is reported
 
 
@@ -37,27 +36,10 @@ def reasons_of(result: ShapeReconstruction) -> tuple[str, ...]:
     return (reason,)
 
 
-def warnings_of(recording: Recording, result: ShapeReconstruction) -> tuple[str, ...]:
-    """Return errors of forces and poses that the data show."""
-    notes = []
-    if result.force_deviation and is_palpation(recording):
-        notes.append(
-            f"The forces differ from the model by about {result.force_deviation:.0%}, smoothly "
-            "over the surface; the intervals of the lumps account for it. Check the depth of the "
-            "object and its base."
-        )
-    elif result.force_deviation:
-        notes.append(
-            f"The forces of the presses are wrong by about {result.force_deviation:.0%}; the "
-            "intervals of the lumps account for it. Check the calibration of the force sensor."
-        )
-    if result.pose_deviation >= _MIN_NOTED_POSE:
-        notes.append(
-            "The object or the sensor moves as a whole beside the recorded forces and supports, by "
-            f"about {result.pose_deviation:.0%} of the displacements; the intervals of the lumps "
-            "account for it. Check the supports and the pose of the sensor."
-        )
-    return tuple(notes)
+def warnings_of(result: ShapeReconstruction) -> tuple[str, ...]:
+    """Return a sentence on each error of the measurement that the data show."""
+    texts = [error.sentence(result.errors.get(error.name, 0.0)) for error in ERRORS]
+    return tuple(filter(None, texts))
 
 
 def _lump(recording: Recording, found: ShapeInclusion) -> Lump:

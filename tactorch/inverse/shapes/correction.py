@@ -23,11 +23,11 @@ from jaxtyping import Bool, Float, Int
 from tactorch.fem import NewtonOptions
 from tactorch.fem.transfer import Transfer
 from tactorch.inverse.data import NoiseModel, group_by_contact
+from tactorch.inverse.errors.kept import KeptRims, RimError, press_key
 from tactorch.inverse.fields import InclusionShape, Sites
+from tactorch.inverse.footprint import loaded_nodes
 from tactorch.inverse.problem import Evaluation, InverseProblem, make_body
 from tactorch.inverse.shapes.fit import ShapeFit
-from tactorch.inverse.shapes.footprint import loaded_nodes
-from tactorch.inverse.shapes.kept import KeptRims, RimError, press_key
 from tactorch.inverse.shapes.sizing import (
     Rim,
     inclusion_sizing,

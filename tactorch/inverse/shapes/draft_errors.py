@@ -7,7 +7,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.inverse.data import DataModel, Observation, rigid_patterns
+from tactorch.inverse.data import DataModel, Observation
+from tactorch.inverse.errors import ErrorModel, ErrorSource, MeasuredPresses
+from tactorch.inverse.errors.pose import RigidMotion
 from tactorch.inverse.problem import InverseProblem
 from tactorch.recording import Press
 
@@ -78,20 +80,31 @@ class PressErrors(NamedTuple):
         return cls(relative * (better - present), relative * pose)
 
 
+@dataclass(frozen=True, eq=False)
+class _Known(ErrorSource):
+    """An error whose changes of the data of each press are known, mm for each unit."""
+
+    name: str
+    changes: Sequence[Float[np.ndarray, "k _"]]
+
+    def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
+        """Return the changes, which are independent for each press."""
+        pairs = zip(presses.problem.data.observations, self.changes, strict=True)
+        columns = [(change * observation.scale).T for observation, change in pairs]
+        return np.hstack([presses.joined({i: c}, c.shape[1]) for i, c in enumerate(columns)])
+
+
 def with_errors(
     problem: InverseProblem, errors: Sequence[PressErrors], options: DraftOptions
 ) -> DataModel:
     """Return the data without the discretisation's error, and with errors in common."""
     observations = problem.data.observations
-    columns = []
-    for k, (observation, one) in enumerate(zip(observations, errors, strict=True)):
-        patterns = [options.remaining * one.mesh, options.scale_deviation * observation.values]
-        for pattern in [*patterns, *(options.pose_deviation_mm * one.pose)]:
-            parts = [np.zeros(len(o.values)) for o in observations]
-            parts[k] = pattern
-            columns.append(np.concatenate(parts) * problem.data.scale)
-    data = problem.data.shifted([-one.mesh for one in errors])
-    data = data.with_errors(np.column_stack(columns))
-    each = [(k,) for k in range(len(observations))]
-    rigid = rigid_patterns(problem.recording.mesh.points, observations, each)
-    return data.with_errors(options.rigid_deviation * rigid)
+    kinds = {
+        _Known("discretisation", [one.mesh[None] for one in errors]): options.remaining,
+        _Known("scale", [o.values[None] for o in observations]): options.scale_deviation,
+        _Known("position", [one.pose for one in errors]): options.pose_deviation_mm,
+        RigidMotion(): options.rigid_deviation,
+    }
+    presses = MeasuredPresses(problem, [(k,) for k in range(len(observations))])
+    data = ErrorModel(presses, kinds).data({kind.name: level for kind, level in kinds.items()})
+    return data.shifted([-one.mesh for one in errors])

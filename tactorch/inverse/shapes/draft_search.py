@@ -17,7 +17,6 @@ from tactorch.inverse.shapes.model import (
     MAX_LOG_ODDS,
     MIN_CANDIDATE_GAIN,
     MIN_GAIN,
-    Errors,
     Model,
     gain,
     make_posterior,
@@ -61,7 +60,7 @@ class DraftSearch:
             self.problem, field, z, sites=self._sites, starts=starts, tolerance=_TOLERANCE,
             max_iterations=_MAX_ITERATIONS,
         )  # fmt: skip
-        return Model(fit, reached, Errors(0.0, 0.0))
+        return Model(fit, reached, {})
 
     @cached_property
     def _sites(self) -> Sites:

@@ -1,6 +1,6 @@
 """Models of the search for shapes: fields with errors of the data, and what follows from them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.inverse.data import DataModel
+from tactorch.inverse.errors import Levels
 from tactorch.inverse.fields import FAMILIES, SIZE, Family, ShapeField, Sites
 from tactorch.inverse.held_out import held_out_score
 from tactorch.inverse.palpation import contacts_of
@@ -19,14 +20,6 @@ from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.inverse.shapes.result import ShapeReconstruction
 from tactorch.recording import Recording
 
-FORCE_DEVIATIONS = (0.02, 0.05, 0.1)
-MIN_POSE_DEVIATION = 0.001  # that of the discretisation after its correction
-_POSE_DEVIATIONS = (0.002, 0.01, 0.05)
-RIM_DEVIATIONS = (0.1, 0.2, 0.5)
-# That of a gel that does not slip at an edge of the body, where the traction is singular: by the
-# nodal forces of a wider gel on a uniform cube, of edges of an eighth of its side, the most
-# probable deviation is 0.2 to 0.5.
-EDGE_DEVIATION = 0.3
 FOUND_FAMILIES = ("ball", "ellipsoid")  # of inclusions that a search finds by default
 MIN_GAIN = 3.0  # of the log-evidence, for a model that is accepted
 DEGREES = (2, 4)  # of smooth backgrounds
@@ -38,26 +31,6 @@ _START_CONTRAST = (0.3, 1.5)  # range of the log-contrast of a start
 _MAX_START_CONTRAST = 1.0  # log-contrast of a start with quadratic elements
 
 
-class Errors(NamedTuple):
-    """Relative deviations of errors that the data have in common."""
-
-    forces: float  # of the forces of each press
-    pose: float  # of rigid motions at each place, over the observed displacements
-    rims: float = 0.0  # of the traction at the edges of a contact's rim, over the mean traction
-
-    def others(self, least: "Errors", has_rims: bool) -> Iterator[tuple[str, "Errors"]]:
-        """Yield errors that differ in one respect, at least these, with their descriptions."""
-        for level in (least.forces, *FORCE_DEVIATIONS):
-            if level != self.forces:
-                yield f"forces wrong by {level:.0%}", self._replace(forces=level)
-        for level in (least.pose, *_POSE_DEVIATIONS):
-            if level != self.pose:
-                yield f"poses wrong by {level:.1%}", self._replace(pose=level)
-        for level in (least.rims, *RIM_DEVIATIONS) if has_rims else ():
-            if level not in (self.rims, *(r for r in RIM_DEVIATIONS if r < least.rims)):
-                yield f"tractions at rims wrong by {level:.0%}", self._replace(rims=level)
-
-
 @dataclass(frozen=True, eq=False)
 class Start:
     """A model to be fitted."""
@@ -65,7 +38,7 @@ class Start:
     what: str
     field: ShapeField
     z: Float[np.ndarray, " size"]
-    errors: Errors
+    errors: Levels
 
 
 class Trial(NamedTuple):
@@ -93,7 +66,7 @@ class Model:
 
     fit: ShapeFit
     evaluation: Evaluation
-    errors: Errors
+    errors: Levels
 
 
 def gain(fit: ShapeFit, rival: ShapeFit) -> float:

@@ -29,7 +29,6 @@ from tactorch.inverse.shapes.model import (
     FOUND_FAMILIES,
     MAX_LOG_ODDS,
     MIN_CANDIDATE_GAIN,
-    Errors,
     Model,
     Start,
     falls_short,
@@ -60,7 +59,6 @@ _MAX_FITS = 5  # of a round
 _MIN_GAIN = 10.0
 _CERTAIN = 20.0  # log-odds beyond which they need not be known
 _OUTSIDE_MM = 1.0  # standard deviation of the length of inclusions outside the object
-_LEVELS = (0.0, 0.05, 0.15)  # relative deviations of the smooth errors of the forces
 
 
 class _Proposal(NamedTuple):
@@ -95,11 +93,11 @@ class _Search:
         white = problem.with_data(self.presses.white)
         matched = MatchedFilter.of(white, youngs, rods=True)
         self.matched = matched.only(self.presses.are_resolved(matched.centers))
-        self._filters: dict[float, MatchedFilter] = {}
+        self._filters: dict[DataModel, MatchedFilter] = {}
         self.history: list[dict[str, Any]] = []
         prior = replace(ShapePrior.of(recording.mesh, youngs), outside_mm=_OUTSIDE_MM)
         field = ShapeField(prior)
-        start = Start("uniform", field, np.zeros(field.size), Errors(0.0, 0.0))
+        start = Start("uniform", field, np.zeros(field.size), self.presses.errors.least)
         self._accept("uniform", self._fit(start))
 
     def _fit(
@@ -122,11 +120,11 @@ class _Search:
     def _check(self, first: ShapeFit) -> None:
         """Raise `CancelledError` where the search is stopped, with the model that it reached."""
         if self._stop():
-            fit, errors = first, Errors(0.0, 0.0)
+            fit, errors = first, self.presses.errors.least
             if self.history:
                 fit, errors = self.model.fit, self.model.errors
             error = CancelledError("the search for inclusions was stopped.")
-            error.reached = ShapeState(fit.field, fit.z, *errors)
+            error.reached = ShapeState(fit.field, fit.z, errors)
             raise error
 
     def _accept(self, what: str, model: Model) -> None:
@@ -213,12 +211,10 @@ class _Search:
         return Start("", self.model.fit.field, self.model.fit.z, self.model.errors)
 
     def _with_levels(self, start: Start, response: _Response) -> Iterator[_Proposal]:
-        """Yield a model with each size of the smooth errors."""
-        for level in _LEVELS:
-            what, errors = start.what, start.errors._replace(forces=level)
-            if level != start.errors.forces:
-                what = f"{what}{', ' * bool(what)}forces wrong by {level:.0%}"
-            promise = self._promise(response, start, self.presses.data(level))
+        """Yield a model with its errors, and with others of the data."""
+        for what, errors in [("", start.errors), *self.presses.errors.others(start.errors)]:
+            what = ", ".join(filter(None, (start.what, what)))
+            promise = self._promise(response, start, self.presses.data(errors))
             yield _Proposal(replace(start, what=what, errors=errors), promise)
 
     def _starts(self) -> Iterator[Start]:
@@ -236,9 +232,9 @@ class _Search:
         """Yield the model with a further ball or rod, with each size of the smooth errors."""
         best: dict[str, _Proposal] = {}
         for start, promise in others:
-            data = self.presses.data(start.errors.forces)
+            data = self.presses.data(start.errors)
             residuals, explained = data.whiten(response.residuals), data.whiten(response.jacobian)
-            for ball in self._candidates(residuals, explained, start.errors.forces):
+            for ball in self._candidates(residuals, explained, data):
                 expected = promise + ball.gain - MIN_CANDIDATE_GAIN
                 what, field, z = with_ball(self.model.fit, ball)
                 errors = start.errors
@@ -252,16 +248,16 @@ class _Search:
         self,
         residuals: Float[np.ndarray, " data"],
         explained: Float[np.ndarray, "data size"],
-        level: float,
+        data: DataModel,
     ) -> Iterator[Candidate]:
         """Yield balls and rods that would reduce the misfit most.
 
         Where the misfit is large at some places, it hides others: all places are seen alike at
         first, and then each by its weight.
         """
-        if level not in self._filters:
-            self._filters[level] = self.matched.whitened(self.presses.data(level))
-        matched, inflation = self._filters[level], max(1.0, float(np.mean(residuals**2)))
+        if data not in self._filters:
+            self._filters[data] = self.matched.whitened(data)
+        matched, inflation = self._filters[data], max(1.0, float(np.mean(residuals**2)))
         for candidate in matched.best(residuals, explained, _STARTS):
             yield candidate._replace(gain=candidate.gain / inflation)
         weights = np.sqrt(self._weights(residuals))
@@ -302,8 +298,7 @@ class _Search:
         whole = each[0] if count == 1 else self._log_odds(range(count)) if count else 0.0
         return ShapeReconstruction(
             fit.field, fit.z, make_posterior(self.model, self.presses.sites), fit.chi2, each, whole,
-            force_deviation=self.model.errors.forces,
-            unexplained=unexplained(fit, self.presses.problem.data), history=tuple(self.history),
+            self.model.errors, unexplained(fit, self.presses.problem.data), tuple(self.history),
         )  # fmt: skip
 
     def _log_odds(self, removed: Sequence[int]) -> float:

@@ -9,20 +9,16 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from tactorch.inverse.data import DataModel
+from tactorch.inverse.errors import ERRORS, ErrorModel, Levels, MeasuredPresses
+from tactorch.inverse.errors.smooth_forces import border_distances, correlation_length
 from tactorch.inverse.fields import Sites
 from tactorch.inverse.palpation import PalpationProblem
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.fit import ShapeFit, fit_shapes
 from tactorch.inverse.shapes.model import Model, Start
-from tactorch.inverse.shapes.smooth_errors import (
-    border_distances,
-    correlation_length,
-    smooth_error_patterns,
-)
 from tactorch.recording import Recording
 
 _DEEPEST = 1.0  # centre of an inclusion, over the correlation length of smooth errors
-_BORDER = 2.0  # distance from the border where errors are larger, over the ball's radius
 
 
 class PalpationPresses:
@@ -35,6 +31,7 @@ class PalpationPresses:
 
     Attributes:
         problem: The presses without smooth errors.
+        errors: Errors of the data that occur.
         sites: Volumes of the quadrature points.
     """
 
@@ -44,18 +41,19 @@ class PalpationPresses:
             newton=settings.newton,
         )  # fmt: skip
         self.sites = Sites.of(self.problem.body.assembly)
-        self._known = {0.0: self.problem.data}
+        self.errors = ErrorModel(MeasuredPresses(self.problem), ERRORS)
 
     @property
     def white(self) -> DataModel:
         """The data without errors that they have in common."""
         return replace(self.problem.data, correlated=None)
 
-    def data(self, level: float) -> DataModel:
-        """Return the data with smooth errors of the forces of a relative deviation."""
-        if level not in self._known:
-            self._known[level] = self.problem.data.with_errors(level * self._patterns)
-        return self._known[level]
+    def data(self, errors: Levels) -> DataModel:
+        """Return the data with these errors, linearised at the best uniform modulus."""
+        if self.errors.lacks(errors):
+            uniform = np.full(self.problem.n_elements, self.problem.contact_mpa)
+            self.errors.linearise(self.problem.evaluate(uniform), "linear")
+        return self.errors.data(errors)
 
     def fit(
         self,
@@ -66,7 +64,7 @@ class PalpationPresses:
     ) -> Model:
         """Fit a model; see `fit_shapes`."""
         fit, evaluation = fit_shapes(
-            self.problem.with_data(self.data(start.errors.forces)), start.field, start.z,
+            self.problem.with_data(self.data(start.errors)), start.field, start.z,
             sites=self.sites, tolerance=tolerance, max_iterations=max_steps, give_up=give_up,
         )  # fmt: skip
         return Model(fit, evaluation, start.errors)
@@ -79,16 +77,6 @@ class PalpationPresses:
     @cached_property
     def _contacts(self) -> Float[np.ndarray, "places 3"]:
         return np.array([place.contact_mm for place in self.problem.indentation.places])
-
-    @cached_property
-    def _patterns(self) -> Float[np.ndarray, "data k"]:
-        """Patterns of smooth errors of relative deviation one, at the best uniform modulus."""
-        problem = self.problem
-        uniform = problem.evaluate(np.full(problem.n_elements, problem.contact_mpa))
-        forces = np.concatenate(uniform.predicted) * problem.data.scale
-        border = _BORDER * float(np.median(problem.indentation.balls_mm))
-        depths = problem.depths_mm[problem.press_of]
-        return smooth_error_patterns(self._contacts, self.place_of, depths, forces, border)
 
     def are_resolved(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Return whether an inclusion at each point can be told from smooth errors.

@@ -1,7 +1,7 @@
 """The presses of a search for shapes: predictions, data with their errors, fits and trials."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from threading import Lock
 from typing import Any
@@ -11,30 +11,17 @@ from jaxtyping import Float
 
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions
-from tactorch.inverse.data import DataModel, Observation, group_by_contact, rigid_patterns
+from tactorch.inverse.data import DataModel, Observation, group_by_contact
+from tactorch.inverse.errors import ERRORS, ErrorModel, Levels, MeasuredPresses
+from tactorch.inverse.errors.kept import KeptRims
 from tactorch.inverse.fields import ShapeField, ShapePrior, Sites
-from tactorch.inverse.press_errors import error_patterns, has_errors
 from tactorch.inverse.problem import Evaluation, InverseProblem
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.correction import Correction
-from tactorch.inverse.shapes.error_patterns import ErrorPatterns
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites, fit_shapes
-from tactorch.inverse.shapes.kept import KeptRims
 from tactorch.inverse.shapes.matched import MatchedFilter
-from tactorch.inverse.shapes.model import (
-    EDGE_DEVIATION,
-    FORCE_DEVIATIONS,
-    MIN_POSE_DEVIATION,
-    RIM_DEVIATIONS,
-    Errors,
-    Model,
-    Start,
-    Trial,
-    falls_short,
-)
-from tactorch.inverse.shapes.poses import probe_patterns
+from tactorch.inverse.shapes.model import Model, Start, Trial, falls_short
 from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
-from tactorch.inverse.shapes.rims import rim_patterns
 from tactorch.inverse.starts import uniform_fit
 from tactorch.recording import Recording
 
@@ -44,10 +31,8 @@ _TRIAL_STEPS = 8  # of Gauss-Newton with linear elements
 # Error of the discretisation that remains after its correction, over the displacements. It is the
 # same in all presses of a contact.
 _DISCRETISATION = 1e-3
-_CORRECTION_DEVIATION = 0.3  # of the correction of each contact, over the correction
 _MAX_ROUGH_CHI2 = 3.0  # of models that are corrected during the search
 _SAME_MODEL = 3.0  # change of a parameter that a correction outlasts, in standard deviations
-_MIN_FORCE_ERROR = 0.3  # norm of a change of the data that is left out, in standard deviations
 _DERIVATIVE_RTOL = 2e-3  # of the solves for derivatives
 _ROUGH_TOLERANCE, _TOLERANCE = 0.5, 0.02  # of fits; rough with quadratic elements, but the last
 _RTOL = 1e-6  # of equilibria: far below the noise of a sensor
@@ -62,6 +47,7 @@ class ShapeProblem:
         stop: Called before each step of a fit and each equilibrium of a correction, by one thread
             at a time; once it is true they raise `CancelledError`.
         kept: Errors at rims of an earlier search on fewer presses; those of others are added.
+        requested: Names of errors that are taken into account on request.
 
     Attributes:
         quadratic: The presses with quadratic elements, on which models are judged.
@@ -69,7 +55,8 @@ class ShapeProblem:
         sites: Volumes of the quadrature points of the quadratic elements.
         prior: Prior of the parameters of shapes.
         matched: Matched filter for balls.
-        least_errors: Errors of the data in the simplest model.
+        errors: Errors of the data that occur.
+        least_errors: Their deviations in the simplest model.
     """
 
     def __init__(
@@ -78,9 +65,9 @@ class ShapeProblem:
         settings: Settings,
         stop: Callable[[], bool] = lambda: False,
         kept: KeptRims | None = None,
+        requested: Collection[str] = (),
     ) -> None:
         self._stop, self._is_stopped, self._lock = stop, False, Lock()
-        self._kept = kept or KeptRims()
         same, self._element = is_same_model(recording), "tet10"
         if same:
             self._element = str(recording.provenance.get("element", settings.element))
@@ -102,35 +89,36 @@ class ShapeProblem:
         self.sites = Sites.of(self.quadratic.body.assembly)
         self._linear_sites = Sites.of(self.linear.body.assembly)
         # Where the presses were computed on this mesh, it is the object.
-        self._correction = None
+        self._correction, presses = None, MeasuredPresses(self.quadratic, contacts)
         if not same:
-            self._correction = Correction.of(
-                self.quadratic, self._element, settings.solver, self._kept
-            )
-        singular = self._correction is not None and self._correction.has_singular_ends
-        self.least_errors = Errors(
-            0.0, 0.0 if same else MIN_POSE_DEVIATION, EDGE_DEVIATION if singular else 0.0
-        )
+            correction = Correction.of(self.quadratic, self._element, settings.solver, kept)
+            self._correction, presses = correction, replace(
+                presses,
+                corrections_mm=[np.zeros(count) for count in self.quadratic.data.counts],
+                rims=[(numbers, rim.nodes) for numbers, rim in correction.uncertain],
+                at_edge=correction.has_singular_ends,
+                kept=correction.kept,
+            )  # fmt: skip
+        self.errors = ErrorModel(presses, ERRORS, requested)
+        self.least_errors = self.errors.least
         self._corrected_at: ShapeFit | None = None
-        self._correction_mm = [np.zeros(count) for count in self.quadratic.data.counts]
         youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
         self.matched = MatchedFilter.of(self.linear, youngs)
         self.prior = ShapePrior.of(recording.mesh, youngs)
-        self._noisy: dict[Errors, DataModel] = {}
         self._last: tuple[ShapeFit, Evaluation] | None = None
         self._floored = noise.floored(recording)
-        observations = self.quadratic.data.observations
-        self._rigid_patterns = rigid_patterns(recording.mesh.points, observations, contacts)
-        self._patterns = ErrorPatterns(self._rigid_patterns)
 
     @property
-    def has_rims(self) -> bool:
-        """Whether the traction of a contact is uncertain where it ends."""
-        return self._correction is not None and bool(self._correction.uncertain)
+    def _has_contacts(self) -> bool:
+        return self._correction is not None and self._correction.has_contacts
 
     def uniform(self) -> Model:
         """Fit the uniform body with quadratic elements."""
-        return self.first(Start("uniform", ShapeField(self.prior), np.zeros(1), self.least_errors))
+        return self.first(self._uniform)
+
+    @property
+    def _uniform(self) -> Start:
+        return Start("uniform", ShapeField(self.prior), np.zeros(1), self.least_errors)
 
     def first(self, start: Start) -> Model:
         """Fit the first model of a search with quadratic elements.
@@ -138,45 +126,27 @@ class ShapeProblem:
         Raises:
             ConvergenceError: it has no equilibrium under the recorded forces.
         """
-        extend, field = self.quadratic.body.discretisation.extend, start.field
-        youngs = ShapesOnSites(field, self._linear_sites).at(start.z).youngs
-        coarse = self.linear.evaluate(youngs)
-        forces = coarse.force_patterns(_MIN_FORCE_ERROR / FORCE_DEVIATIONS[-1])
-        pose = self._rigid_patterns
-        if self.quadratic.recording.has_probes:
-            probes = probe_patterns(self.quadratic.recording, coarse)
-            pose = np.hstack([pose, probes])
-        self._patterns = ErrorPatterns(pose, forces)
-        displacements = [extend(u) for u in coarse.displacements]
-        has_contacts = self._correction is not None and self._correction.has_contacts
-        if not has_contacts and not has_errors(self.quadratic.recording):
-            return self.fit(start, displacements)
-        youngs = ShapesOnSites(field, self.sites).at(start.z).youngs
-        evaluation = self.quadratic.evaluate(youngs, starts=displacements)
-        self._linearise_errors(evaluation)
-        if self._correction is not None and self.has_rims:
-            rims = rim_patterns(
-                self.quadratic.recording, evaluation, self._correction.uncertain,
-                _MIN_FORCE_ERROR / RIM_DEVIATIONS[-1], self._kept,
-            )  # fmt: skip
-            self._patterns = replace(self._patterns, rims=rims)
-        model = self.fit(start, evaluation.displacements)
-        return self.corrected(model) if has_contacts else model
+        model = self.fit(start, self._linearise(start))
+        return self.corrected(model) if self._has_contacts else model
 
-    def _linearise_errors(self, evaluation: Evaluation) -> None:
-        """Compute the patterns of the correlated errors of the presses about an evaluation."""
-        recording = self.quadratic.recording
-        if has_errors(recording):
-            stated = error_patterns(evaluation.with_data(self.quadratic.data), recording)
-            self._patterns = replace(self._patterns, stated=stated)
-            self._noisy.clear()
+    def _linearise(self, start: Start) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Compute the effects of the errors about a model, and return its displacements (mm)."""
+        extend = self.quadratic.body.discretisation.extend
+        youngs = ShapesOnSites(start.field, self._linear_sites).at(start.z).youngs
+        coarse = self.linear.evaluate(youngs)
+        self.errors.linearise(coarse, "linear")
+        displacements = [extend(u) for u in coarse.displacements]
+        if not (self._has_contacts or any(e.elements == "quadratic" for e in self.errors.errors)):
+            return displacements
+        youngs = ShapesOnSites(start.field, self.sites).at(start.z).youngs
+        evaluation = self.quadratic.evaluate(youngs, starts=displacements)
+        self.errors.linearise(evaluation, "quadratic")
+        return evaluation.displacements
 
     def continued(self, result: ShapeReconstruction | ShapeState) -> Start:
         """Return the model of a search on other presses of the same object."""
         field, z = result.field.changed(result.z, prior=self.prior)
-        pose = max(result.pose_deviation, self.least_errors.pose)
-        rims = max(result.rim_deviation, self.least_errors.rims) if self.has_rims else 0.0
-        return Start("the model before", field, z, Errors(result.force_deviation, pose, rims))
+        return Start("the model before", field, z, self.errors.at_least(result.errors))
 
     def fit(
         self,
@@ -287,20 +257,17 @@ class ShapeProblem:
         """
         self._check()
         assert self._correction is not None
-        before = self.quadratic, self._correction_mm, self._patterns
+        before = self.quadratic, self.errors
         try:
             offsets = self._correction.offsets(model.fit, model.evaluation, self._check)
-            self._linearise_errors(model.evaluation)
-            pairs = zip(self._correction_mm, offsets, strict=True)
-            data = self.quadratic.data.shifted([old - new for old, new in pairs])
-            self.quadratic, self._correction_mm = self.quadratic.with_data(data), offsets
-            self._noisy.clear()
+            self.errors = self.errors.corrected(offsets)
+            self.errors.linearise(model.evaluation, "quadratic")
+            self.quadratic = self.errors.presses.problem
             corrected = self._fit_further(model, "corrected", tolerance)
             self._corrected_at = model.fit
             return corrected
         except (ConfigError, ConvergenceError) as error:
-            self.quadratic, self._correction_mm, self._patterns = before
-            self._noisy.clear()
+            self.quadratic, self.errors = before
             _log.warning("The error of the discretisation is not corrected: %s", error)
             return model
 
@@ -357,7 +324,7 @@ class ShapeProblem:
         model: Model,
         z: Float[np.ndarray, " size"],
         jacobian: Float[np.ndarray, "data size"],
-        errors: Errors,
+        errors: Levels,
     ) -> Trial:
         """Return the evidence of a linearised model with these errors of the data.
 
@@ -365,7 +332,7 @@ class ShapeProblem:
             model: The model about which it is linearised.
             z: Parameters for which its map is that of the model.
             jacobian: Their derivatives, see `jacobian`.
-            errors: Errors of the data.
+            errors: Levels of the data.
         """
         data, inflation = self.data(errors), max(1.0, model.fit.chi2)
         residuals, columns = data.whiten(self._raw(model).residuals), data.whiten(jacobian)
@@ -392,26 +359,11 @@ class ShapeProblem:
         """Return the predictions of a model with the residuals of white noise."""
         return model.evaluation.with_data(self.quadratic.data)
 
-    def data(self, errors: Errors) -> DataModel:
-        """Return the data with these errors; their covariances are computed once."""
-        if errors not in self._noisy:
-            self._noisy[errors] = self._with_errors(errors)
-        return self._noisy[errors]
-
-    def _with_errors(self, errors: Errors) -> DataModel:
-        data = self.quadratic.data
-        if self._correction is not None:
-            data = data.with_errors(_CORRECTION_DEVIATION * self._correction_patterns())
-        return self._patterns.added_to(data, errors)
-
-    def _correction_patterns(self) -> Float[np.ndarray, "data contacts"]:
-        """Return the corrections of each contact, in standard deviations of the white noise."""
-        assert self._correction is not None
-        columns = []
-        for numbers, _ in self._correction.contacts:
-            parts = [(k in numbers) * mm for k, mm in enumerate(self._correction_mm)]
-            columns.append(np.concatenate(parts) * self.quadratic.data.scale)
-        return np.column_stack(columns)
+    def data(self, errors: Levels) -> DataModel:
+        """Return the data with these errors, about a uniform body where there is no model yet."""
+        if self.errors.lacks(errors):
+            self._linearise(self._uniform)
+        return self.errors.data(errors)
 
 
 def _predicted_fall(fit: ShapeFit) -> float:

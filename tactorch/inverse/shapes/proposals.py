@@ -83,7 +83,7 @@ def _with_other_errors(problem: ShapeProblem, model: Model) -> Iterator[Proposal
     """Yield the model with other errors of the data; the fits are linearised."""
     fit = model.fit
     jacobian = problem.jacobian(model)
-    for what, errors in model.errors.others(problem.least_errors, problem.has_rims):
+    for what, errors in problem.errors.others(model.errors):
         trial = problem.linearised(model, fit.z, jacobian, errors)
         yield Proposal(what, fit.field, fit.z, errors, trial)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from dataclasses import field as attribute
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -10,6 +11,7 @@ from jaxtyping import Float
 from scipy.special import expit
 
 from tactorch.display import Displayed
+from tactorch.inverse.errors import Levels
 from tactorch.inverse.fields import InclusionShape, ShapeField, Sites
 from tactorch.inverse.predictions import Predictions
 from tactorch.inverse.shapes.posterior import ShapePosterior
@@ -86,14 +88,12 @@ class ShapeState(NamedTuple):
     Attributes:
         field: The family of the shapes.
         z: Parameters, in standard deviations of the prior.
-        force_deviation: See `ShapeReconstruction`; the other deviations too.
+        errors: Deviations of the errors of the data.
     """
 
     field: ShapeField
     z: Float[np.ndarray, " size"]
-    force_deviation: float
-    pose_deviation: float
-    rim_deviation: float
+    errors: Levels
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,13 +107,8 @@ class ShapeReconstruction(Displayed):
         chi2: Mean squared residual, in standard deviations.
         log_odds: For each inclusion, the log-evidence over that of the model without it.
         log_odds_any: The same for all inclusions together.
-        force_deviation: Relative deviation of the forces of each press by which the data are best
-            explained; zero where the recorded forces agree with them.
-        pose_deviation: Deviation of rigid motions at each contact, over the observed displacements;
-            at least 0.001 where the presses were not computed on the recording's mesh, for the
-            discretisation.
-        rim_deviation: Deviation of the traction at edges of the recording's mesh at the rims of
-            contacts, over the mean traction; zero where the nodal forces determine it.
+        errors: Deviations of the errors by which the data are best explained, each in its unit; see
+            `tactorch.inverse.errors`. Others are zero.
         unexplained: Root mean square of the residuals beyond their noise and the recognised errors
             of forces and poses, over that of the observed displacements.
         history: The accepted models with their chi2 and log-evidence.
@@ -128,9 +123,7 @@ class ShapeReconstruction(Displayed):
     chi2: float
     log_odds: tuple[float, ...]
     log_odds_any: float
-    force_deviation: float = 0.0
-    pose_deviation: float = 0.0
-    rim_deviation: float = 0.0
+    errors: Levels = attribute(default_factory=dict)
     unexplained: float = 0.0
     history: tuple[dict[str, Any], ...] = ()
     predictions: Predictions | None = None
@@ -152,6 +145,21 @@ class ShapeReconstruction(Displayed):
                 f"probability {found.probability:.3g}"
             )
         return "\n".join(lines)
+
+    @property
+    def force_deviation(self) -> float:
+        """Deviation of the forces of each press, or over the places of a palpation, relative."""
+        return max(self.errors.get(name, 0.0) for name in ("forces", "smooth_forces"))
+
+    @property
+    def pose_deviation(self) -> float:
+        """Deviation of rigid motions at each contact, over the observed displacements."""
+        return self.errors.get("pose", 0.0)
+
+    @property
+    def rim_deviation(self) -> float:
+        """Deviation of the traction at edges of the mesh at rims of contacts, over the mean."""
+        return self.errors.get("rims", 0.0)
 
     @property
     def probability(self) -> float:
@@ -230,9 +238,7 @@ class ShapeReconstruction(Displayed):
             "chi2": self.chi2,
             "log_odds": list(self.log_odds),
             "log_odds_any": self.log_odds_any,
-            "force_deviation": self.force_deviation,
-            "pose_deviation": self.pose_deviation,
-            "rim_deviation": self.rim_deviation,
+            "errors": dict(self.errors),
             "unexplained": self.unexplained,
             "history": list(self.history),
         }
@@ -240,16 +246,19 @@ class ShapeReconstruction(Displayed):
     @staticmethod
     def of(plain: Mapping[str, Any]) -> "ShapeReconstruction":
         """Return the result from plain JSON values."""
+        field, errors = ShapeField.of(plain), plain.get("errors")
+        if errors is None:  # of earlier versions; palpations alone have limits of inclusions
+            forces = "forces" if field.prior.outside_mm is None else "smooth_forces"
+            names = {forces: "force_deviation", "pose": "pose_deviation", "rims": "rim_deviation"}
+            errors = {name: level for name, old in names.items() if (level := plain.get(old))}
         return ShapeReconstruction(
-            ShapeField.of(plain),
+            field,
             np.array(plain["z"]),
             ShapePosterior.of(plain["posterior"]),
             plain["chi2"],
             tuple(plain["log_odds"]),
             plain["log_odds_any"],
-            plain["force_deviation"],
-            plain.get("pose_deviation", 0.0),
-            plain.get("rim_deviation", 0.0),
+            errors,
             plain["unexplained"],
             tuple(plain["history"]),
         )

@@ -10,14 +10,16 @@ accepted.
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from typing import Any
 
-from tactorch.errors import CancelledError, ConvergenceError
+from tactorch.config.registry import unknown_choice
+from tactorch.errors import CancelledError, ConfigError, ConvergenceError
+from tactorch.inverse.errors import ERRORS
+from tactorch.inverse.errors.kept import KeptRims
 from tactorch.inverse.palpation import is_palpation
 from tactorch.inverse.settings import Settings
-from tactorch.inverse.shapes.kept import KeptRims
 from tactorch.inverse.shapes.model import (
     FOUND_FAMILIES,
     MAX_LOG_ODDS,
@@ -56,6 +58,7 @@ def find_shapes(
     start: ShapeReconstruction | ShapeState | None = None,
     stop: Callable[[], bool] = lambda: False,
     kept: KeptRims | None = None,
+    errors: Collection[str] = (),
 ) -> ShapeReconstruction:
     """Find the inclusions that the presses determine, with the number that the evidence supports.
 
@@ -77,6 +80,8 @@ def find_shapes(
             whose `reached` is the last accepted model, if there is one.
         kept: What searches on growing presses of an object share: errors at the rims of contacts,
             which are computed for contacts that it does not have.
+        errors: Names of errors that are taken into account on request: "shift", of the contacts
+            along the surface.
 
     Raises:
         CancelledError: see `stop`.
@@ -85,6 +90,9 @@ def find_shapes(
             elements have none where quadratic ones have.
     """
     settings = settings or Settings()
+    known = [error.name for error in ERRORS]
+    for name in set(errors) - set(known):
+        raise ConfigError(unknown_choice("errors", name, known))
     if is_palpation(recording):
         return find_palpation_shapes(
             recording, settings, max_shapes=max_shapes, max_models=_MAX_MODELS, families=families,
@@ -93,7 +101,7 @@ def find_shapes(
     refined = recording if is_same_model(recording) else refined_at_contacts(recording)
     with progress_line("search for inclusions") as update:
         update("elements at the contacts")
-        problem = ShapeProblem(refined, settings, stop, kept)
+        problem = ShapeProblem(refined, settings, stop, kept, errors)
         model, result = _search(problem, start, max_shapes, families, update)
         return with_predictions(result, model, recording)
 
@@ -126,7 +134,7 @@ def _search(
             history.append(record("balls as ellipsoids", best.fit))
         return best, _result(problem, best, posterior, history)
     except CancelledError as error:
-        error.reached = ShapeState(model.fit.field, model.fit.z, *model.errors)
+        error.reached = ShapeState(model.fit.field, model.fit.z, model.errors)
         raise
 
 
@@ -147,7 +155,7 @@ def _result(
     _log.info("final fit: chi2 %.4g", fit.chi2)
     return ShapeReconstruction(
         fit.field, fit.optimum, posterior, fit.chi2,
-        *_log_odds(problem, model), *model.errors, unexplained(fit, problem.quadratic.data),
+        *_log_odds(problem, model), model.errors, unexplained(fit, problem.quadratic.data),
         tuple(history),
     )  # fmt: skip
 

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from tactorch.inverse.fields import InclusionShape
-from tactorch.inverse.shapes.footprint import Footprint, loaded_nodes
+from tactorch.inverse.footprint import Footprint, loaded_nodes
 from tactorch.mesh import TetMesh
 from tactorch.mesh.refine import Sizing
 from tactorch.mesh.sharp_edges import distance_from_sharp_edges

@@ -13,11 +13,40 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from tactorch.inverse.errors.base import ErrorSource, MeasuredPresses
+from tactorch.inverse.palpation import PalpationProblem
+
+_BORDER = 2.0  # distance from the border where errors are larger, over the ball's radius
 _LENGTH = 0.25  # of the correlation, over the square root of the palpated area
 _SMALLEST = 1e-3  # variance of a mode of the process that is left out, over the largest
 _NARROW = 0.1  # width of the palpated area over its length, at least
 _NEIGHBOURS = 12  # nearest places, among which those at the border have a gap
 _GAP = 2.0 * np.pi / 3.0  # between the directions to neighbours
+
+
+class SmoothForces(ErrorSource):
+    """Errors of the forces of a palpation, over the forces; see `smooth_error_patterns`."""
+
+    name, elements, proposal = "smooth_forces", "linear", "forces wrong by {:.0%}"
+    levels = (0.05, 0.15)
+    note = (
+        "The forces differ from the model by about {:.0%}, smoothly over the surface; the "
+        "intervals of the lumps account for it. Check the depth of the object and its base."
+    )
+
+    def least(self, presses: MeasuredPresses) -> float | None:
+        """Return zero, or None without a palpation."""
+        return 0.0 if isinstance(presses.problem, PalpationProblem) else None
+
+    def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
+        """Return the changes of the data by smooth errors."""
+        problem = presses.problem
+        assert isinstance(problem, PalpationProblem)
+        contacts = np.array([place.contact_mm for place in problem.indentation.places])
+        forces = np.concatenate(presses.evaluation.predicted) * problem.data.scale
+        border = _BORDER * float(np.median(problem.indentation.balls_mm))
+        place_of, depths = (x[problem.press_of] for x in (problem.places, problem.depths_mm))
+        return smooth_error_patterns(contacts, place_of, depths, forces, border)
 
 
 def smooth_error_patterns(

@@ -11,39 +11,31 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float
 
+from tactorch.inverse.errors.base import ErrorSource, MeasuredPresses, principal
 from tactorch.inverse.problem import Evaluation
 from tactorch.linalg import map_cases
-from tactorch.recording import Press, Recording
-
-_SMALLEST = 0.1  # norm of a pattern that is left out, in standard deviations of the white noise
+from tactorch.recording import Press
 
 
-def has_errors(recording: Recording) -> bool:
-    """Return whether forces and displacements of a press have errors in common."""
-    return any(press.errors is not None for press in recording.presses)
+class Stated(ErrorSource):
+    """Correlated errors of forces and displacements that presses state, with their deviations."""
 
+    name, elements, smallest = "stated", "quadratic", 0.1
 
-def error_patterns(
-    evaluation: Evaluation, recording: Recording, smallest: float = _SMALLEST
-) -> Float[np.ndarray, "data k"]:
-    """Return patterns of the residuals by the correlated errors of each press.
+    def least(self, presses: MeasuredPresses) -> float | None:
+        """Return one, the deviations that are stated, if any."""
+        stated = [press.errors is not None for press in presses.problem.recording.presses]
+        return 1.0 if any(stated) else None
 
-    They are orthogonal for each press, and the products with their transpose are those of its
-    errors. The unit is the standard deviation of the white noise.
+    def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
+        """Return orthogonal changes of each press, whose covariance is that of its errors."""
+        recording, evaluation = presses.problem.recording, presses.evaluation
 
-    Args:
-        evaluation: Predictions of the presses, about which the object is linearised.
-        recording: The presses.
-        smallest: Norm of patterns that are left out.
-    """
+        def work(i: int) -> np.ndarray:
+            columns = _residuals(evaluation, recording.presses[i], i)
+            return principal(columns, self.smallest)
 
-    def work(i: int) -> np.ndarray:
-        columns = _residuals(evaluation, recording.presses[i], i)
-        basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-        kept = sizes > smallest
-        return basis[:, kept] * sizes[kept]
-
-    return sp.block_diag(map_cases(work, len(recording.presses))).toarray()
+        return sp.block_diag(map_cases(work, len(recording.presses))).toarray()
 
 
 def _residuals(evaluation: Evaluation, press: Press, number: int) -> Float[np.ndarray, "data q"]:

@@ -1,0 +1,102 @@
+"""An error of the measurement: what it changes of the data, and how large it may be."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, TypeAlias
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from tactorch.inverse.errors.kept import KeptRims
+from tactorch.inverse.problem import Evaluation, InverseProblem
+
+LEAST_CHANGE = 0.3  # norm of a change of the data that is left out, in standard deviations
+
+#: Standard deviation of each error, in its own unit, by name; others are zero.
+Levels: TypeAlias = Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredPresses:
+    """Presses whose errors are linearised.
+
+    Attributes:
+        problem: The presses, whose data have white noise.
+        contacts: Numbers of the presses of each contact.
+        linearised: Predictions about which errors are linearised.
+        corrections_mm: Corrections of the discretisation that the data contain, mm, or None.
+        rims: Numbers of the presses of each contact whose traction is uncertain where it ends, and
+            the nodes there.
+        at_edge: Whether a sensor's contact ends at an edge of the body.
+        kept: What searches on further presses reuse.
+    """
+
+    problem: InverseProblem
+    contacts: Sequence[tuple[int, ...]] = ()
+    linearised: Evaluation | None = None
+    corrections_mm: Sequence[Float[np.ndarray, " _"]] | None = None
+    rims: Sequence[tuple[tuple[int, ...], Int[np.ndarray, " _"]]] = ()
+    at_edge: bool = False
+    kept: KeptRims = field(default_factory=KeptRims)
+
+    @property
+    def evaluation(self) -> Evaluation:
+        """The predictions about which errors are linearised."""
+        assert self.linearised is not None
+        return self.linearised
+
+    def joined(
+        self, parts: Mapping[int, Float[np.ndarray, "_ k"]], count: int
+    ) -> Float[np.ndarray, "data k"]:
+        """Return `count` columns of the first data of some presses as columns of all data."""
+        blocks = [np.zeros((rows, count)) for rows in self.problem.data.counts]
+        for press, part in parts.items():
+            blocks[press][: len(part)] = part
+        return np.vstack(blocks)
+
+
+class ErrorSource(ABC):
+    """An error of unknown size that data have in common.
+
+    Attributes:
+        name: Its name in `Levels`.
+        levels: Deviations that a search for inclusions tries, beside the least one.
+        elements: Elements of the predictions about which a search linearises it: "linear", once,
+            about the first model; "quadratic", about each model at which predictions are corrected;
+            or none.
+        proposal: Description of a model with another deviation.
+        note: What a deviation means for the result, and what to check.
+        noted: Smallest deviation with a note.
+        smallest: Norm of patterns that are left out, in standard deviations.
+        on_request: Whether only a search that is given its name takes it into account.
+    """
+
+    name: str
+    levels: ClassVar[tuple[float, ...]] = ()
+    elements = proposal = note = ""
+    noted: ClassVar[float] = 1e-9
+    smallest, on_request = 0.0, False
+
+    def least(self, presses: MeasuredPresses) -> float | None:
+        """Return the least deviation, that of the simplest model; None where there is no error."""
+        return 0.0
+
+    @abstractmethod
+    def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
+        """Return changes of the data by independent errors of unit deviation.
+
+        The unit is the standard deviation of the white noise.
+        """
+
+    def sentence(self, level: float) -> str:
+        """Return the note for a deviation, or nothing."""
+        return self.note.format(level) if level >= self.noted else ""
+
+
+def principal(columns: Float[np.ndarray, "data k"], smallest: float) -> Float[np.ndarray, "data q"]:
+    """Return orthogonal columns of the same covariance, of norms above `smallest`."""
+    basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    kept = sizes > smallest
+    out: np.ndarray = basis[:, kept] * sizes[kept]
+    return out

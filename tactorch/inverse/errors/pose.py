@@ -1,0 +1,114 @@
+"""Errors of the poses of sensor, object and probes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import orth
+
+from tactorch.inverse.errors.base import ErrorSource, MeasuredPresses
+from tactorch.inverse.footprint import largest_depth
+from tactorch.inverse.palpation import is_palpation
+from tactorch.recording import ProbePose, Recording
+
+_LEAST = 0.001  # that of the discretisation after its correction
+_SAME_PLACE = 0.1  # distance across the approach, over the probe's depth, at which places differ
+_LEVI_CIVITA = np.stack([np.cross(axis, np.eye(3)).T for axis in np.eye(3)])
+
+
+class RigidMotion(ErrorSource):
+    """Rigid motions of each contact, over the displacements observed there."""
+
+    name = "pose"
+
+    def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
+        """Return the motions, in which the presses of a contact move together.
+
+        Each moves by the root mean square of its observed displacements. Rotations are about the
+        mean of the observed points, and scaled to the size of the translations.
+        """
+        points = presses.problem.recording.mesh.points
+        observations = presses.problem.data.observations
+        patterns = [presses.joined({}, 0)]
+        for contact in presses.contacts:
+            index = observations[contact[0]].index
+            if not len(index):
+                continue
+            offsets = points[index // 3] - points[index // 3].mean(axis=0)
+            axes = np.eye(3)[index % 3]
+            turns = np.einsum("kij,dj,di->dk", _LEVI_CIVITA, offsets, axes)
+            fields = orth(np.hstack([axes, turns / max(np.abs(offsets).max(), 1e-12)]), rcond=1e-6)
+            n_axes = len(np.unique(index % 3))  # a translation moves one of them
+            parts = {}
+            for i in contact:
+                nodal = observations[i].nodal
+                size = np.linalg.norm(observations[i].values[nodal]) / np.sqrt(n_axes)
+                parts[i] = size * observations[i].scale[nodal, None] * fields
+            patterns.append(presses.joined(parts, fields.shape[1]))
+        return np.hstack(patterns)
+
+
+class Pose(RigidMotion):
+    """Rigid motions of each contact, and of probes at each place, over the largest depth there."""
+
+    elements, proposal, levels = "linear", "poses wrong by {:.1%}", (0.002, 0.01, 0.05)
+    noted = 0.005  # above what remains of the discretisation
+    note = (
+        "The object or the sensor moves as a whole beside the recorded forces and supports, by "
+        "about {:.0%} of the displacements; the intervals of the lumps account for it. "
+        "Check the supports and the pose of the sensor."
+    )
+
+    def least(self, presses: MeasuredPresses) -> float | None:
+        """Return what remains of the discretisation; places of a palpation are exact."""
+        if is_palpation(presses.problem.recording):
+            return None
+        return 0.0 if presses.corrections_mm is None else _LEAST
+
+    def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
+        """Return the changes of the data by motions of contacts and of probes."""
+        columns = [super().patterns(presses)]
+        if presses.problem.recording.has_probes:
+            motions = presses.evaluation.probe_motions()
+            for place in _places(presses.problem.recording):
+                parts = {i: place.depth_mm * motions[i] for i in place.presses}
+                columns.append(presses.joined(parts, 3))
+        return np.hstack(columns)
+
+
+@dataclass(eq=False)
+class _Place:
+    """Presses by one probe, whose positions differ along its axis.
+
+    Attributes:
+        pose: Pose of the first.
+        depth_mm: Largest depth.
+        presses: Their numbers.
+    """
+
+    pose: ProbePose
+    depth_mm: float
+    presses: list[int]
+
+    def has(self, pose: ProbePose) -> bool:
+        """Return whether a press is at this place."""
+        if pose.probe != self.pose.probe or not np.allclose(pose.rotation, self.pose.rotation):
+            return False
+        axis, apart = pose.rotation[:, 2], pose.position_mm - self.pose.position_mm
+        across = float(np.linalg.norm(apart - (apart @ axis) * axis))
+        return across < _SAME_PLACE * self.depth_mm
+
+
+def _places(recording: Recording) -> list[_Place]:
+    places: list[_Place] = []
+    for i, press in enumerate(recording.presses):
+        if (pose := press.probe) is None:
+            continue
+        depth = largest_depth(pose, recording.mesh)
+        place = next((place for place in places if place.has(pose)), None)
+        if place is None:
+            places.append(_Place(pose, depth, [i]))
+        else:
+            place.depth_mm = max(place.depth_mm, depth)
+            place.presses.append(i)
+    return places
