@@ -22,7 +22,6 @@ RIM_DEVIATIONS = (0.1, 0.2, 0.5)
 # nodal forces of a wider gel on a uniform cube, of edges of an eighth of its side, the most
 # probable deviation is 0.2 to 0.5.
 EDGE_DEVIATION = 0.3
-FOUND_FAMILIES = ("ball", "ellipsoid")  # of inclusions that a search finds by default
 MIN_GAIN = 3.0  # of the log-evidence, for a model that is accepted
 DEGREES = (2, 4)  # of smooth backgrounds
 # Smallest linearised reduction of the misfit that is worth a fit: the best of a few hundred balls
@@ -148,16 +147,14 @@ def with_ball(
     fit: ShapeFit, candidate: Candidate
 ) -> tuple[str, ShapeField, Float[np.ndarray, " size"]]:
     """Return the description, field and parameters of a model with a further ball or rod."""
-    center, half = candidate.center_mm, candidate.half_mm
     size = np.clip(abs(candidate.log_contrast), *_START_CONTRAST)
-    contrast = float(np.copysign(size, candidate.log_contrast))
-    families = (FAMILIES[name] for name in FAMILIES)
-    births = ((f, f.birth(center, candidate.radius_mm, contrast, half)) for f in families)
+    candidate = candidate._replace(log_contrast=float(np.copysign(size, candidate.log_contrast)))
+    births = ((FAMILIES[name], FAMILIES[name].birth(candidate)) for name in FAMILIES)
     family, inclusion = next((family, own) for family, own in births if own is not None)
     field = replace(fit.field, families=(*fit.field.families, family))
     z = field.standard(np.concatenate([fit.field.physical(fit.z), inclusion]))
-    kind = "rod" if half.any() else "ball"
-    return f"{kind} at {np.round(center, 1).tolist()} mm", field, z
+    kind = "rod" if candidate.half_mm.any() else "ball"
+    return f"{kind} at {np.round(candidate.center_mm, 1).tolist()} mm", field, z
 
 
 def varied(

@@ -19,7 +19,6 @@ from tactorch.inverse.palpation import is_palpation
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.kept import KeptRims
 from tactorch.inverse.shapes.model import (
-    FOUND_FAMILIES,
     MAX_LOG_ODDS,
     MIN_GAIN,
     Model,
@@ -51,7 +50,6 @@ def find_shapes(
     settings: Settings | None = None,
     *,
     max_shapes: int = _MAX_SHAPES,
-    families: Sequence[str] = FOUND_FAMILIES,
     start: ShapeReconstruction | ShapeState | None = None,
     stop: Callable[[], bool] = lambda: False,
     kept: KeptRims | None = None,
@@ -67,8 +65,6 @@ def find_shapes(
             corrected by finer meshes there and at inclusions, unless the provenance states that the
             presses were computed on the recording's mesh.
         max_shapes: Largest number of inclusions.
-        families: Families of inclusions, of "ball", "ellipsoid" and "cuboid" (see
-            `tactorch.inverse.fields.FAMILIES`). Balls are always among them.
         start: Result for other presses on the object, such as the earlier ones of a session, or
             what a search had `reached` that was stopped, from whose model the search starts; by
             default, and from a model without inclusions, it starts from a uniform body.
@@ -86,22 +82,20 @@ def find_shapes(
     settings = settings or Settings()
     if is_palpation(recording):
         return find_palpation_shapes(
-            recording, settings, max_shapes=max_shapes, max_models=_MAX_MODELS, families=families,
-            stop=stop,
-        )  # fmt: skip
+            recording, settings, max_shapes=max_shapes, max_models=_MAX_MODELS, stop=stop
+        )
     if not is_same_model(recording):
         recording = refined_at_contacts(recording)
     with progress_line("search for inclusions") as update:
         update("elements at the contacts")
         problem = ShapeProblem(recording, settings, stop, kept)
-        return _search(problem, start, max_shapes, families, update)
+        return _search(problem, start, max_shapes, update)
 
 
 def _search(
     problem: ShapeProblem,
     start: ShapeReconstruction | ShapeState | None,
     max_shapes: int,
-    families: Sequence[str],
     update: Callable[[str], None],
 ) -> ShapeReconstruction:
     """Accept models of more evidence until there is none."""
@@ -110,7 +104,7 @@ def _search(
     try:
         for number in range(2, _MAX_MODELS + 2):
             update(f"model {number}, predictions of proposals")
-            proposals = propose(problem, model, max_shapes, families)
+            proposals = propose(problem, model, max_shapes)
             update(f"model {number}")
             if (accepted := _accept(problem, model, proposals)) is None:
                 break
