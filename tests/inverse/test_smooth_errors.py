@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactorch.inverse.fields import BALL, ELLIPSOID, ShapeField, ShapePrior
+from tactorch.inverse.fields import BALL, ELLIPSOID, Candidate, ShapeField, ShapePrior
 from tactorch.inverse.shapes.fit import ShapeFit
-from tactorch.inverse.shapes.matched import Balls, Candidate
+from tactorch.inverse.shapes.matched import Balls
 from tactorch.inverse.shapes.model import with_ball
 from tactorch.inverse.shapes.smooth_errors import (
     border_distances,

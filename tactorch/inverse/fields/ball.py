@@ -6,7 +6,7 @@ from tactorch.inverse.fields.family import Distances, Family, Samples, Slopes, V
 from tactorch.inverse.fields.inclusion import Candidate, Parameters
 
 
-class Ball(Family):
+class BallFamily(Family):
     """Balls: centre, radius and contrast."""
 
     name, noun, judged_as = "ball", "a ball", "ellipsoid"
@@ -28,4 +28,4 @@ class Ball(Family):
         return away - radius, np.concatenate([centers, np.full((1, *away.shape), -radius)])
 
 
-BALL = Ball()
+BALL = BallFamily()

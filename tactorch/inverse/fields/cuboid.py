@@ -23,7 +23,7 @@ class CuboidShape(InclusionShape):
         return np.asarray(np.abs(self.vectors).sum(axis=0))
 
 
-class Cuboid(Family):
+class CuboidFamily(Family):
     """Cuboids along x, y and z: centre, radius of the ball of the same volume, and two ratios."""
 
     name = judged_as = "cuboid"
@@ -52,4 +52,4 @@ class Cuboid(Family):
         return distance, np.concatenate([np.moveaxis(centers, -1, 0), by_size])
 
 
-CUBOID = Cuboid()
+CUBOID = CuboidFamily()

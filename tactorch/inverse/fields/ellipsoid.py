@@ -16,7 +16,7 @@ from tactorch.inverse.fields.family import (
 from tactorch.inverse.fields.inclusion import Candidate, Parameters
 
 
-class Ellipsoid(Family):
+class EllipsoidFamily(Family):
     """Ellipsoids: centre, radius of the ball of the same volume, contrast and five distortions.
 
     The level at x is L = |A (x - c)| with A = exp(-S), and the distance to the boundary
@@ -74,4 +74,4 @@ class Ellipsoid(Family):
         ])  # fmt: skip
 
 
-ELLIPSOID = Ellipsoid()
+ELLIPSOID = EllipsoidFamily()

@@ -65,9 +65,8 @@ class Family(ABC):
         noun: The name with its article.
         distortions: Names of the distortions, of `DISTORTIONS`.
         shape_type: The body that is stretched.
-        reach: Radius of the ball around the body of the volume of the unit ball.
-        curvature: Mean curvature of its boundary, over that of the unit ball; zero where it is
-            flat.
+        reach: Radius of the ball around the body of semi-axes of one.
+        curvature: Mean curvature of its boundary, over that of a ball; zero where it is flat.
         special: Names of families that a search tries as this one, from the same values of the
             parameters that both have.
         judged_as: Name of the family by which the posterior is computed: the data that make a ball

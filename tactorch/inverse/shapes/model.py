@@ -8,10 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.inverse.data import DataModel
-from tactorch.inverse.fields import FAMILIES, SIZE, Family, ShapeField, Sites
+from tactorch.inverse.fields import FAMILIES, SIZE, Candidate, Family, ShapeField, Sites
 from tactorch.inverse.problem import Evaluation
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
-from tactorch.inverse.shapes.matched import Candidate
 from tactorch.inverse.shapes.posterior import ShapePosterior
 
 FORCE_DEVIATIONS = (0.02, 0.05, 0.1)

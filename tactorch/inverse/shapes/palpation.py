@@ -18,12 +18,12 @@ from jaxtyping import Float
 
 from tactorch.errors import CancelledError
 from tactorch.inverse.data import DataModel
-from tactorch.inverse.fields import ShapeField, ShapePrior
+from tactorch.inverse.fields import Candidate, ShapeField, ShapePrior
 from tactorch.inverse.fields.family import families_beyond
 from tactorch.inverse.palpation import PALPATION_ELEMENT
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
-from tactorch.inverse.shapes.matched import Candidate, MatchedFilter
+from tactorch.inverse.shapes.matched import MatchedFilter
 from tactorch.inverse.shapes.model import (
     DEGREES,
     MAX_LOG_ODDS,
