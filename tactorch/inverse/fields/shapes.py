@@ -201,26 +201,24 @@ class ShapeField:
         """Derivative of the background's log-modulus by its parameters."""
         return self.background.derivative(self.prior, sites.centers)
 
-    def log_youngs(self, z: Float[np.ndarray, " size"], sites: Sites) -> np.ndarray:
-        """Return the log-modulus of each volume, log MPa."""
-        values = self.physical(z)
-        out = self._background(sites) @ values[: self.n_background]
-        for family, own, _ in self._inclusions(values):
-            near, change = family.log_change(own, sites)
-            out[near] += change
-        return out
-
-    def log_youngs_of(
+    def log_youngs(
         self,
         z: Float[np.ndarray, " size"],
         sites: Sites,
-        fractions: Sequence[Float[np.ndarray, " elements"]],
+        fractions: Sequence[Float[np.ndarray, " elements"]] = (),
     ) -> np.ndarray:
-        """Return the log-modulus of each volume, of elements in each inclusion by a fraction."""
+        """Return the log-modulus of each volume, log MPa.
+
+        Fractions of the elements inside each inclusion are used where they are given.
+        """
         values = self.physical(z)
         out = self._background(sites) @ values[: self.n_background]
-        for (_, own, _), fraction in zip(self._inclusions(values), fractions, strict=True):
-            out += own.log_contrast * np.repeat(fraction, sites.shape[1])
+        for k, (family, own, _) in enumerate(self._inclusions(values)):
+            if fractions:
+                out += own.log_contrast * np.repeat(fractions[k], sites.shape[1])
+            else:
+                near, change = family.log_change(own, sites)
+                out[near] += change
         return out
 
     def jacobian(self, z: Float[np.ndarray, " size"], sites: Sites) -> np.ndarray:
