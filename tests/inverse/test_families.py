@@ -19,8 +19,10 @@ from tactorch.inverse.fields.cuboid import CUBOID
 from tactorch.inverse.fields.family import families_beyond
 from tactorch.inverse.fields.inclusion import Parameters
 from tactorch.inverse.problem import InverseProblem
+from tactorch.inverse.shapes import ShapeReconstruction
 from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
 from tactorch.inverse.shapes.model import as_judged, with_family
+from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import Box, box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.simulation import PressPlan, simulate
@@ -99,6 +101,20 @@ def test_a_cuboid_has_the_sides_that_its_parameters_say():
     box = Box((5.0, 4.6, 5.7), tuple(2.0 * half))
     found = CUBOID.distance(own, points[:, None])[:, 0]
     np.testing.assert_allclose(found, box.signed_distance(points))
+
+
+@pytest.mark.parametrize("name", [*FAMILIES])
+def test_results_and_pictures_are_of_any_family(name):
+    field, z = parameters(name)
+    posterior = ShapePosterior(field, z, np.zeros(len(z)), 1e-4 * np.eye(len(z)))
+    result = ShapeReconstruction(field, z, posterior, 1.0, (9.0,), 9.0)
+    (inclusion,) = ShapeReconstruction.of(json.loads(json.dumps(result.plain()))).inclusions
+    assert inclusion.shape == next(field.shapes(z))
+    assert inclusion.youngs_mpa == pytest.approx(0.2 * np.exp(1.2))
+    low, high = inclusion.radius_90_mm
+    assert np.log(high / low) == pytest.approx(2 * 1.645 * 0.01 * PRIOR.log_radius, rel=0.1)
+    (solid,) = result.to_pyvista()
+    assert solid.volume == pytest.approx(4.0 / 3.0 * np.pi * 2.2**3, rel=0.02)
 
 
 def test_a_family_becomes_a_more_general_one():
