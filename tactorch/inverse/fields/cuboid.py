@@ -24,7 +24,10 @@ class CuboidShape(InclusionShape):
 
 
 class CuboidFamily(Family):
-    """Cuboids along x, y and z: centre, radius of the ball of the same volume, and two ratios."""
+    """Cuboids along x, y and z: centre, radius of the ball of the same volume, contrast and ratios.
+
+    A search tries none unless it starts from one (`tactorch.inverse.shapes.model.with_family`).
+    """
 
     name = judged_as = "cuboid"
     noun, distortions = "a cuboid", ("x-y", "xy-z")
