@@ -10,9 +10,9 @@ from tactorch.inverse.errors.smooth_forces import (
     correlation_length,
     smooth_error_patterns,
 )
-from tactorch.inverse.fields import BALL, ELLIPSOID, ShapeField, ShapePrior
+from tactorch.inverse.fields import BALL, ELLIPSOID, Candidate, ShapeField, ShapePrior
 from tactorch.inverse.shapes.fit import ShapeFit
-from tactorch.inverse.shapes.matched import Balls, Candidate
+from tactorch.inverse.shapes.matched import Balls
 from tactorch.inverse.shapes.model import with_ball
 from tactorch.mesh import box_mesh
 

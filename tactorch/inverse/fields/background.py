@@ -60,28 +60,9 @@ class Background:
         self, prior: ShapePrior, points: Float[np.ndarray, "n 3"]
     ) -> Float[np.ndarray, "n parameters"]:
         """Return the derivative of the log-modulus at points (mm) by the parameters."""
-        one = np.ones((len(points), 1))
-        if not len(self.waves):
-            return one
-        relative, count = prior.relative(points), len(self._degrees)
-        modes = _polynomials(relative, self._degrees), _cosines(relative, self.waves[count:])
-        return np.hstack([one, *modes])
-
-
-def _polynomials(
-    relative: Float[np.ndarray, "n 3"], degrees: Float[np.ndarray, "modes 3"]
-) -> Float[np.ndarray, "n modes"]:
-    """Return products of Legendre polynomials."""
-    powers = degrees.astype(int)
-    values = legvander(1.0 - 2.0 * relative, int(degrees.max(initial=0.0)))
-    modes: np.ndarray = np.ones((len(relative), len(powers)))
-    for axis in range(3):
-        modes *= values[:, axis, powers[:, axis]]
-    return modes
-
-
-def _cosines(
-    relative: Float[np.ndarray, "n 3"], waves: Float[np.ndarray, "modes 3"]
-) -> Float[np.ndarray, "n modes"]:
-    modes: np.ndarray = np.cos(np.pi * waves * relative[:, None, :]).prod(axis=2)
-    return modes
+        relative = (points - prior.low_mm) / (prior.high_mm - prior.low_mm)
+        values, degrees = legvander(1.0 - 2.0 * relative, self.degree), self._degrees.astype(int)
+        smooth = np.prod([values[:, axis, degrees[:, axis]] for axis in range(3)], axis=0)
+        waves = self.waves[len(degrees) :]
+        layers = np.cos(np.pi * waves * relative[:, None, :]).prod(axis=2)
+        return np.hstack([np.ones((len(points), 1)), smooth, layers])

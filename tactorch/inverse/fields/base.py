@@ -1,13 +1,17 @@
 """Fields of Young's modulus: the unknown of an inversion, with the prior of its coefficients."""
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError
+from tactorch.inverse.parameterization import Parameterization
 from tactorch.inverse.problem import Evaluation
+from tactorch.inverse.regularization.base import Regularizer
 
 Vector = Float[np.ndarray, " size"]
 
@@ -68,3 +72,103 @@ class ModulusField(ABC):
     @abstractmethod
     def at(self, x: Vector) -> FieldPoint:
         """Return the field with these coefficients."""
+
+
+@dataclass(frozen=True, eq=False)
+class ElementField(ModulusField):
+    """One modulus per element, or per group of elements.
+
+    Attributes:
+        parameterization: Relation between a coefficient and Young's modulus.
+        prior: Penalty on the log-moduli.
+        n_elements: Number of elements.
+        groups: Group of each element, where all elements of a group share one modulus; the prior
+            then acts on the groups.
+    """
+
+    parameterization: Parameterization
+    prior: Regularizer
+    n_elements: int
+    groups: Int[np.ndarray, " elements"] | None = None
+
+    @cached_property
+    def size(self) -> int:  # type: ignore[override]
+        """Number of elements, or of groups."""
+        return self.n_elements if self.groups is None else int(self.groups.max()) + 1
+
+    @property
+    def limits(self) -> tuple[Vector, Vector]:  # type: ignore[override]
+        """Bounds of Young's modulus, as coefficients."""
+        low, high = self.parameterization.limits
+        return np.full(self.size, low), np.full(self.size, high)
+
+    @property
+    def max_step(self) -> Vector:  # type: ignore[override]
+        """Largest change of each coefficient in one damped Newton step."""
+        return np.full(self.size, self.parameterization.max_step)
+
+    def at(self, x: Vector) -> FieldPoint:
+        """Return the field with these coefficients; moduli are within the bounds."""
+        return _ElementPoint(self, x)
+
+
+@dataclass(frozen=True, eq=False)
+class _ElementPoint(FieldPoint):
+    field: ElementField
+    x: Vector
+
+    @cached_property
+    def _moduli(self) -> Vector:
+        """Young's modulus by coefficient, MPa."""
+        bounds = self.field.parameterization.bounds
+        return np.clip(self.field.parameterization.youngs(self.x), bounds.lower, bounds.upper)
+
+    @cached_property
+    def _slope(self) -> Vector:
+        return self.field.parameterization.slope(self.x)
+
+    @cached_property
+    def youngs(self) -> Float[np.ndarray, " elements"]:  # type: ignore[override]
+        """Young's modulus of each element, MPa."""
+        groups = self.field.groups
+        return self._moduli if groups is None else self._moduli[groups]
+
+    @cached_property
+    def penalty(self) -> float:  # type: ignore[override]
+        """The prior without its weight."""
+        return self.field.prior.value(np.log(self._moduli))
+
+    @cached_property
+    def penalty_gradient(self) -> Vector:  # type: ignore[override]
+        """Its gradient with respect to x."""
+        return self._slope / self._moduli * self.field.prior.gradient(np.log(self._moduli))
+
+    @cached_property
+    def penalty_curvature(self) -> sp.csr_matrix:
+        """Its curvature with respect to x."""
+        chain = sp.diags(self._slope / self._moduli)
+        return (chain @ self.field.prior.curvature(np.log(self._moduli)) @ chain).tocsr()
+
+    def youngs_change(self, change: Vector) -> Float[np.ndarray, " elements"]:
+        values, groups = self._slope * change, self.field.groups
+        return values if groups is None else values[groups]
+
+    def transpose_times(self, weights: Float[np.ndarray, " elements"]) -> Vector:
+        groups = self.field.groups
+        if groups is not None:
+            weights = np.bincount(groups, weights, minlength=self.field.size)
+        return self._slope * weights
+
+    def jacobian(self, evaluation: Evaluation) -> Float[np.ndarray, "data size"]:
+        """Return d residuals / d x, by one solve per datum, or per group of elements and press."""
+        if self.field.groups is None:
+            return evaluation.jacobian() * self._slope
+        changes = (self.youngs_change(unit) for unit in np.eye(self.field.size))
+        return np.column_stack([evaluation.jacobian_times(change) for change in changes])
+
+    def second_derivative_times(
+        self, weights: Float[np.ndarray, " elements"], change: Vector
+    ) -> Vector:
+        if self.field.groups is not None:
+            raise ConfigError("the full Hessian needs a coefficient for each element.")
+        return self.field.parameterization.second_derivative(self.x) * weights * change

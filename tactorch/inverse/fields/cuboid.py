@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.inverse.fields.family import Family, Samples
+from tactorch.inverse.fields.family import Distances, Family, Samples, Slopes
 from tactorch.inverse.fields.inclusion import InclusionShape, Parameters
 from tactorch.mesh import Box
 from tactorch.mesh.shapes import distance_to_product
@@ -23,11 +23,14 @@ class CuboidShape(InclusionShape):
         return np.asarray(np.abs(self.vectors).sum(axis=0))
 
 
-class Cuboid(Family):
-    """Cuboids along x, y and z: centre, radius of the ball of the same volume, and two ratios."""
+class CuboidFamily(Family):
+    """Cuboids along x, y and z: centre, radius of the ball of the same volume, contrast and ratios.
+
+    A search tries none unless it starts from one (`tactorch.inverse.shapes.model.with_family`).
+    """
 
     name = judged_as = "cuboid"
-    noun, distortions, special = "a cuboid", ("x-y", "xy-z"), ("ball", "ellipsoid")
+    noun, distortions = "a cuboid", ("x-y", "xy-z")
     shape_type, reach, curvature = CuboidShape, np.sqrt(3.0), 0.0
 
     def _excess(self, own: Parameters, points: Samples) -> tuple[np.ndarray, np.ndarray]:
@@ -36,13 +39,11 @@ class Cuboid(Family):
         half = np.exp(logs) / np.cbrt(self.shape_type.unit_volume)
         return np.abs(points - own.center) - half, half
 
-    def distance(self, own: Parameters, points: Samples) -> Float[np.ndarray, "volumes samples"]:
+    def distance(self, own: Parameters, points: Samples) -> Distances:
         excess, _ = self._excess(own, points)
         return distance_to_product(excess.reshape(-1, 3)).reshape(excess.shape[:-1])
 
-    def distance_derivative(
-        self, own: Parameters, points: Samples
-    ) -> tuple[Float[np.ndarray, "volumes samples"], Float[np.ndarray, "k volumes samples"]]:
+    def distance_derivative(self, own: Parameters, points: Samples) -> tuple[Distances, Slopes]:
         excess, half = self._excess(own, points)
         distance = self.distance(own, points)
         outside, nearest = np.maximum(excess, 0.0), np.eye(3)[excess.argmax(axis=-1)]
@@ -54,4 +55,4 @@ class Cuboid(Family):
         return distance, np.concatenate([np.moveaxis(centers, -1, 0), by_size])
 
 
-CUBOID = Cuboid()
+CUBOID = CuboidFamily()

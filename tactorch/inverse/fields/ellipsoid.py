@@ -4,11 +4,19 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import expm, expm_frechet
 
-from tactorch.inverse.fields.family import DISTORTIONS, Family, Samples, length
-from tactorch.inverse.fields.inclusion import Parameters
+from tactorch.inverse.fields.family import (
+    DISTORTIONS,
+    Distances,
+    Family,
+    Samples,
+    Slopes,
+    Values,
+    length,
+)
+from tactorch.inverse.fields.inclusion import Candidate, Parameters
 
 
-class Ellipsoid(Family):
+class EllipsoidFamily(Family):
     """Ellipsoids: centre, radius of the ball of the same volume, contrast and five distortions.
 
     The level at x is L = |A (x - c)| with A = exp(-S), and the distance to the boundary
@@ -23,35 +31,28 @@ class Ellipsoid(Family):
         center_mm: Float[np.ndarray, "3"],
         log_stretch: Float[np.ndarray, "3 3"],
         log_contrast: float,
-    ) -> Float[np.ndarray, " parameters"]:
+    ) -> Values:
         """Return the parameters of the ellipsoid of a matrix S, see `log_stretch`."""
         log_radius, distortions = np.trace(log_stretch) / 3.0, np.tensordot(self.basis, log_stretch)
         return np.array([*center_mm, log_radius, log_contrast, *distortions])
 
-    def birth(
-        self,
-        center_mm: Float[np.ndarray, "3"],
-        radius_mm: float,
-        log_contrast: float,
-        half_mm: Float[np.ndarray, "3"],
-    ) -> Float[np.ndarray, " parameters"] | None:
-        half = float(np.linalg.norm(half_mm))
-        if not half:
+    def birth(self, candidate: Candidate) -> Values | None:
+        center, radius, log_contrast, _, half = candidate
+        length_mm = float(np.linalg.norm(half))
+        if not length_mm:
             return None
-        along = half_mm / half
-        stretch = np.log(radius_mm) * np.eye(3)
-        stretch += np.log(1.0 + half / radius_mm) * np.outer(along, along)
-        return self.values(center_mm, stretch, log_contrast)
+        along = half / length_mm
+        stretch = np.log(radius) * np.eye(3)
+        stretch += np.log(1.0 + length_mm / radius) * np.outer(along, along)
+        return self.values(center, stretch, log_contrast)
 
-    def distance(self, own: Parameters, points: Samples) -> Float[np.ndarray, "volumes samples"]:
+    def distance(self, own: Parameters, points: Samples) -> Distances:
         inverse = expm(-self.log_stretch(own))
         unit = (points - own.center) @ inverse
         level = length(unit)
         return (level - 1.0) * level / length(unit @ inverse)
 
-    def distance_derivative(
-        self, own: Parameters, points: Samples
-    ) -> tuple[Float[np.ndarray, "volumes samples"], Float[np.ndarray, "k volumes samples"]]:
+    def distance_derivative(self, own: Parameters, points: Samples) -> tuple[Distances, Slopes]:
         offset, stretch = points - own.center, self.log_stretch(own)
         inverse = expm(-stretch)
         unit = offset @ inverse
@@ -73,4 +74,4 @@ class Ellipsoid(Family):
         ])  # fmt: skip
 
 
-ELLIPSOID = Ellipsoid()
+ELLIPSOID = EllipsoidFamily()

@@ -9,7 +9,6 @@ boundary crosses an element.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +16,14 @@ from jaxtyping import Float, Int
 from scipy.special import expit
 
 from tactorch.config import Registry
-from tactorch.inverse.fields.inclusion import CENTER, COMMON, SIZE, InclusionShape, Parameters
+from tactorch.inverse.fields.inclusion import (
+    CENTER,
+    COMMON,
+    SIZE,
+    Candidate,
+    InclusionShape,
+    Parameters,
+)
 from tactorch.inverse.fields.prior import ShapePrior
 from tactorch.inverse.fields.sites import Sites
 
@@ -31,21 +37,23 @@ FAMILIES = Registry(
     },
 )
 
-_TURNS = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+_X, _Y, _Z = np.eye(3)
 #: Orthonormal basis of symmetric matrices without trace: distortions of the same volume.
 DISTORTIONS = {
     "x-y": np.diag([1.0, -1.0, 0.0]) / np.sqrt(2.0),
     "xy-z": np.diag([1.0, 1.0, -2.0]) / np.sqrt(6.0),
-    **{
-        name: (np.outer(a, b) + np.outer(b, a)) / np.sqrt(2.0)
-        for name, (a, b) in ((n, np.eye(3)[[i, j]]) for n, (i, j) in _TURNS.items())
-    },
+    "xy": (np.outer(_X, _Y) + np.outer(_Y, _X)) / np.sqrt(2.0),
+    "xz": (np.outer(_X, _Z) + np.outer(_Z, _X)) / np.sqrt(2.0),
+    "yz": (np.outer(_Y, _Z) + np.outer(_Z, _Y)) / np.sqrt(2.0),
 }
 _RADIUS = 0.15  # mean radius of the prior, over the body's size
 _VARIANCE = np.pi**2 / 12.0  # of the logistic distribution whose density is a boundary of width one
 _TINY = 1e-12  # mm2, for the derivative of a length at zero
 
+Values = Float[np.ndarray, " parameters"]
 Samples = Float[np.ndarray, "volumes samples 3"]
+Distances = Float[np.ndarray, "volumes samples"]
+Slopes = Float[np.ndarray, "k volumes samples"]
 Widths = Float[np.ndarray, " volumes"]
 
 
@@ -57,11 +65,10 @@ class Family(ABC):
         noun: The name with its article.
         distortions: Names of the distortions, of `DISTORTIONS`.
         shape_type: The body that is stretched.
-        reach: Radius of the ball around the body of the volume of the unit ball.
-        curvature: Mean curvature of its boundary, over that of the unit ball; zero where it is
-            flat.
-        special: Names of families whose members this one contains, for the same values of the
-            parameters that both have, or nearly contains. A search may go on from them to it.
+        reach: Radius of the ball around the body of semi-axes of one.
+        curvature: Mean curvature of its boundary, over that of a ball; zero where it is flat.
+        special: Names of families that a search tries as this one, from the same values of the
+            parameters that both have.
         judged_as: Name of the family by which the posterior is computed: the data that make a ball
             the most probable model do not exclude an ellipsoid.
         linear: Names of log-radius and log-contrast, on whose squared radius and strength the data
@@ -91,21 +98,8 @@ class Family(ABC):
         mean = [*middle, np.log(_RADIUS * prior.size_mm), 0.0, *[0.0] * count]
         return mean, [*half, prior.log_radius, prior.log_contrast, *[prior.distortion] * count]
 
-    def birth(
-        self,
-        center_mm: Float[np.ndarray, "3"],
-        radius_mm: float,
-        log_contrast: float,
-        half_mm: Float[np.ndarray, "3"],
-    ) -> Float[np.ndarray, " parameters"] | None:
-        """Return parameters of a ball or a rod; None where the family is not for it.
-
-        Args:
-            center_mm: Its centre.
-            radius_mm: Its radius.
-            log_contrast: Its log-contrast.
-            half_mm: Vector from the centre to an end of the rod; zero for a ball.
-        """
+    def birth(self, candidate: Candidate) -> Values | None:
+        """Return the parameters of a ball or a rod; None where the family is not for it."""
         return None
 
     def shape(self, own: Parameters) -> InclusionShape:
@@ -145,7 +139,7 @@ class Family(ABC):
         points, width = sites.points[near], sites.width[near]
         distance, slopes = self.distance_derivative(own, points)
         slopes[len(CENTER)] -= self._shift(own, width)[:, None]
-        inside = expit(self._scaled(own, distance, width))
+        inside = self._inside(own, distance, width)
         weights = inside * (1.0 - inside) * (-2.0 / width / points.shape[1])[:, None]
         columns = own.log_contrast * np.einsum("vs,kvs->vk", weights, slopes)
         return near, np.insert(columns, COMMON.index("log_contrast"), inside.mean(axis=1), axis=1)
@@ -158,22 +152,19 @@ class Family(ABC):
         distance = self.distance(own, points)
         if not width.any():
             return np.asarray((distance < 0.0).mean(axis=1))
-        return np.asarray(expit(self._scaled(own, distance, width)).mean(axis=1))
+        return np.asarray(self._inside(own, distance, width).mean(axis=1))
 
     @abstractmethod
-    def distance(self, own: Parameters, points: Samples) -> Float[np.ndarray, "volumes samples"]:
+    def distance(self, own: Parameters, points: Samples) -> Distances:
         """Return the distance of points (mm) to the boundary, to first order, negative inside."""
 
     @abstractmethod
-    def distance_derivative(
-        self, own: Parameters, points: Samples
-    ) -> tuple[Float[np.ndarray, "volumes samples"], Float[np.ndarray, "k volumes samples"]]:
+    def distance_derivative(self, own: Parameters, points: Samples) -> tuple[Distances, Slopes]:
         """Return `distance`, and its derivatives by centre, log-radius and distortions."""
 
-    def _scaled(
-        self, own: Parameters, distance: Float[np.ndarray, "volumes samples"], width: Widths
-    ) -> Float[np.ndarray, "volumes samples"]:
-        return -2.0 * (distance + self._shift(own, width)[:, None]) / width[:, None]
+    def _inside(self, own: Parameters, distance: Distances, width: Widths) -> Distances:
+        scaled = -2.0 * (distance + self._shift(own, width)[:, None]) / width[:, None]
+        return np.asarray(expit(scaled))
 
     def _shift(self, own: Parameters, width: Widths) -> Widths:
         """Shift of a smooth boundary (mm), which would enlarge a ball by its curvature."""
@@ -200,6 +191,6 @@ def length(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, " *n"]:
     return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1) + _TINY))
 
 
-def families_beyond(family: Family, names: Iterable[str]) -> list[Family]:
-    """Return those of some families that contain another one, and as which it may be fitted."""
-    return [other for name in names if family.name in (other := FAMILIES[name]).special]
+def families_beyond(family: Family) -> list[Family]:
+    """Return the families as which a search tries inclusions of one, see `Family.special`."""
+    return [other for name in FAMILIES if family.name in (other := FAMILIES[name]).special]

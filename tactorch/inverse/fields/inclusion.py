@@ -37,6 +37,16 @@ CENTER, SIZE = ("x", "y", "z"), ("log_radius", "log_contrast")
 COMMON = (*CENTER, *SIZE)
 
 
+class Candidate(NamedTuple):
+    """A ball or a rod that would reduce the misfit."""
+
+    center_mm: Float[np.ndarray, "3"]
+    radius_mm: float
+    log_contrast: float
+    gain: float  # reduction of half the sum of squared residuals, linearised
+    half_mm: Float[np.ndarray, "3"]  # from the centre to an end of a rod; zero for a ball
+
+
 @dataclass(frozen=True)
 class InclusionShape:
     """An ellipsoid of one contrast, and the base of bodies that are other shapes when stretched.

@@ -50,7 +50,3 @@ class ShapePrior:
         values: dict[str, Any] = dict(plain)
         low, high = (np.array(values.pop(name)) for name in ("low_mm", "high_mm"))
         return ShapePrior(low, high, **values)
-
-    def relative(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Return points (mm) in units of the bounding box, from 0 to 1 in it."""
-        return (points - self.low_mm) / (self.high_mm - self.low_mm)

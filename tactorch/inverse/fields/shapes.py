@@ -67,10 +67,13 @@ class ShapeField:
         background = Background(plain["degree"], tuple(plain.get("layers", (0, 0, 0))))
         return ShapeField(ShapePrior.of_plain(plain["prior"]), families, background)
 
+    @property
+    def _terms(self) -> tuple[Background | Family, ...]:
+        return self.background, *self.families
+
     @cached_property
     def _scale(self) -> tuple[np.ndarray, np.ndarray]:
-        kinds: tuple[Background | Family, ...] = (self.background, *self.families)
-        scales = [kind.scale(self.prior) for kind in kinds]
+        scales = [term.scale(self.prior) for term in self._terms]
         mean, deviation = map(np.concatenate, zip(*scales, strict=True))
         return mean, deviation
 
@@ -92,7 +95,7 @@ class ShapeField:
     @cached_property
     def parts(self) -> list[slice]:
         """Parameters of each inclusion."""
-        ends = np.cumsum([self.n_background, *(len(f.parameters) for f in self.families)])
+        ends = np.cumsum([len(term.parameters) for term in self._terms])
         return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     def index(self, inclusion: int, *names: str) -> Int[np.ndarray, " names"]:
@@ -105,16 +108,6 @@ class ShapeField:
         """Places of log-radius and log-contrast of the inclusions, see `Family.linear`."""
         pairs = enumerate(self.families)
         return [self.index(k, *family.linear) for k, family in pairs if family.linear]
-
-    def log_level(self, z: Float[np.ndarray, " size"]) -> float:
-        """Return the log-modulus of the background, log MPa; its mean where it varies."""
-        return float(self.physical(z)[self.background.level])
-
-    def scaled(self, z: Float[np.ndarray, " size"], factor: float) -> Float[np.ndarray, " size"]:
-        """Return the parameters of the field whose moduli are larger by a factor."""
-        values = self.physical(z)
-        values[self.background.level] += np.log(factor)
-        return self.standard(values)
 
     def own(self, values: Float[np.ndarray, "*k size"], inclusion: int) -> Parameters:
         """Return the parameters of an inclusion from all, in mm and logarithms."""
@@ -158,16 +151,10 @@ class ShapeField:
         Those of the same name remain, in mm and logarithms, and others are zero.
         """
         other, values = replace(self, **changes), self.physical(z)
-        parts = [slice(self.n_background), *self.parts]
-        kinds: tuple[Background | Family, ...] = (self.background, *self.families)
-        others: tuple[Background | Family, ...] = (other.background, *other.families)
-        pairs = zip(kinds, parts, strict=True)
-        known = [dict(zip(kind.parameters, values[part], strict=True)) for kind, part in pairs]
-        new = [
-            mine.get(name, 0.0)
-            for kind, mine in zip(others, known, strict=True)
-            for name in kind.parameters
-        ]
+        new, parts = [], [slice(self.n_background), *self.parts]
+        for term, part, changed in zip(self._terms, parts, other._terms, strict=True):
+            known = dict(zip(term.parameters, values[part], strict=True))
+            new += [known.get(name, 0.0) for name in changed.parameters]
         return other, other.standard(np.array(new))
 
     def shapes(self, z: Float[np.ndarray, " size"]) -> Iterator[InclusionShape]:
@@ -214,26 +201,24 @@ class ShapeField:
         """Derivative of the background's log-modulus by its parameters."""
         return self.background.derivative(self.prior, sites.centers)
 
-    def log_youngs(self, z: Float[np.ndarray, " size"], sites: Sites) -> np.ndarray:
-        """Return the log-modulus of each volume, log MPa."""
-        values = self.physical(z)
-        out = self._background(sites) @ values[: self.n_background]
-        for family, own, _ in self._inclusions(values):
-            near, change = family.log_change(own, sites)
-            out[near] += change
-        return out
-
-    def log_youngs_of(
+    def log_youngs(
         self,
         z: Float[np.ndarray, " size"],
         sites: Sites,
-        fractions: Sequence[Float[np.ndarray, " elements"]],
+        fractions: Sequence[Float[np.ndarray, " elements"]] = (),
     ) -> np.ndarray:
-        """Return the log-modulus of each volume, of elements in each inclusion by a fraction."""
+        """Return the log-modulus of each volume, log MPa.
+
+        Fractions of the elements inside each inclusion are used where they are given.
+        """
         values = self.physical(z)
         out = self._background(sites) @ values[: self.n_background]
-        for (_, own, _), fraction in zip(self._inclusions(values), fractions, strict=True):
-            out += own.log_contrast * np.repeat(fraction, sites.shape[1])
+        for k, (family, own, _) in enumerate(self._inclusions(values)):
+            if fractions:
+                out += own.log_contrast * np.repeat(fractions[k], sites.shape[1])
+            else:
+                near, change = family.log_change(own, sites)
+                out[near] += change
         return out
 
     def jacobian(self, z: Float[np.ndarray, " size"], sites: Sites) -> np.ndarray:

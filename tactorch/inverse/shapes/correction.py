@@ -389,4 +389,4 @@ class _Model:
             fraction[crossed] = sites.fraction_inside(shape, crossed)
             fractions.append(fraction)
         field, z = self.fit.field, self.fit.z
-        return np.exp(field.log_youngs_of(z, sites, fractions)).reshape(sites.shape)
+        return np.exp(field.log_youngs(z, sites, fractions)).reshape(sites.shape)

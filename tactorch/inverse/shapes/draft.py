@@ -104,7 +104,7 @@ class DraftShapes:
         """Return the parameter of the background from which the uniform body is fitted."""
         if start is None:
             return np.zeros(1)
-        log = start.field.log_level(start.z)
+        log = start.field.physical(start.z)[start.field.background.level]
         return ShapeField(search.prior).standard(np.array([log]))
 
     def _prepare(self, recording: Recording, stop: Callable[[], bool]) -> DraftSearch:

@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.inverse.data import DataModel
+from tactorch.inverse.fields import Candidate
 from tactorch.inverse.problem import InverseProblem
 from tactorch.mesh import TetMesh
 
@@ -16,16 +16,6 @@ _RADII = (0.1, 0.2)  # of the candidates, over the size of the body
 _RODS = (0.2, 0.4)  # half-lengths of rods, over the size of the body
 _ROD_RADIUS = 0.07  # over the size of the body
 _DIRECTIONS = 6  # of rods
-
-
-class Candidate(NamedTuple):
-    """A ball or a rod that would reduce the misfit."""
-
-    center_mm: Float[np.ndarray, "3"]
-    radius_mm: float
-    log_contrast: float
-    gain: float  # reduction of half the sum of squared residuals, linearised
-    half_mm: Float[np.ndarray, "3"]  # from the centre to an end of a rod; zero for a ball
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,18 +9,16 @@ from jaxtyping import Float
 
 from tactorch.inverse.data import DataModel
 from tactorch.inverse.errors import Levels
-from tactorch.inverse.fields import FAMILIES, SIZE, Family, ShapeField, Sites
+from tactorch.inverse.fields import FAMILIES, SIZE, Candidate, Family, ShapeField, Sites
 from tactorch.inverse.held_out import held_out_score
 from tactorch.inverse.palpation import contacts_of
 from tactorch.inverse.predictions import Predictions
 from tactorch.inverse.problem import Evaluation
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
-from tactorch.inverse.shapes.matched import Candidate
 from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.inverse.shapes.result import ShapeReconstruction
 from tactorch.recording import Recording
 
-FOUND_FAMILIES = ("ball", "ellipsoid")  # of inclusions that a search finds by default
 MIN_GAIN = 3.0  # of the log-evidence, for a model that is accepted
 DEGREES = (2, 4)  # of smooth backgrounds
 # Smallest linearised reduction of the misfit that is worth a fit: the best of a few hundred balls
@@ -140,16 +138,14 @@ def with_ball(
     fit: ShapeFit, candidate: Candidate
 ) -> tuple[str, ShapeField, Float[np.ndarray, " size"]]:
     """Return the description, field and parameters of a model with a further ball or rod."""
-    center, half = candidate.center_mm, candidate.half_mm
     size = np.clip(abs(candidate.log_contrast), *_START_CONTRAST)
-    contrast = float(np.copysign(size, candidate.log_contrast))
-    families = (FAMILIES[name] for name in FAMILIES)
-    births = ((f, f.birth(center, candidate.radius_mm, contrast, half)) for f in families)
+    candidate = candidate._replace(log_contrast=float(np.copysign(size, candidate.log_contrast)))
+    births = ((FAMILIES[name], FAMILIES[name].birth(candidate)) for name in FAMILIES)
     family, inclusion = next((family, own) for family, own in births if own is not None)
     field = replace(fit.field, families=(*fit.field.families, family))
     z = field.standard(np.concatenate([fit.field.physical(fit.z), inclusion]))
-    kind = "rod" if half.any() else "ball"
-    return f"{kind} at {np.round(center, 1).tolist()} mm", field, z
+    kind = "rod" if candidate.half_mm.any() else "ball"
+    return f"{kind} at {np.round(candidate.center_mm, 1).tolist()} mm", field, z
 
 
 def varied(

@@ -18,15 +18,14 @@ from jaxtyping import Float
 
 from tactorch.errors import CancelledError
 from tactorch.inverse.data import DataModel
-from tactorch.inverse.fields import ShapeField, ShapePrior
+from tactorch.inverse.fields import Candidate, ShapeField, ShapePrior
 from tactorch.inverse.fields.family import families_beyond
 from tactorch.inverse.palpation import PALPATION_ELEMENT
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.fit import ShapeFit, ShapesOnSites
-from tactorch.inverse.shapes.matched import Candidate, MatchedFilter
+from tactorch.inverse.shapes.matched import MatchedFilter
 from tactorch.inverse.shapes.model import (
     DEGREES,
-    FOUND_FAMILIES,
     MAX_LOG_ODDS,
     MIN_CANDIDATE_GAIN,
     Model,
@@ -78,15 +77,8 @@ class _Response(NamedTuple):
 class _Search:
     """The presses, and the present model."""
 
-    def __init__(
-        self,
-        recording: Recording,
-        settings: Settings,
-        families: Sequence[str],
-        stop: Callable[[], bool],
-    ) -> None:
+    def __init__(self, recording: Recording, settings: Settings, stop: Callable[[], bool]) -> None:
         self._recording, self._settings, self._stop = recording, settings, stop
-        self._families = families
         self.presses = PalpationPresses(recording, settings, _SEARCHED)
         problem = self.presses.problem
         youngs = self._linear_mpa = problem.contact_mpa
@@ -220,7 +212,7 @@ class _Search:
     def _starts(self) -> Iterator[Start]:
         field, z, errors = self.model.fit.field, self.model.fit.z, self.model.errors
         for k, family in enumerate(field.families):
-            for other in families_beyond(family, self._families):
+            for other in families_beyond(family):
                 what = f"inclusion {k} as {other.noun}"
                 yield Start(what, *with_family(field, z, k, other), errors)
         degree = next((degree for degree in DEGREES if degree > field.background.degree), None)
@@ -288,9 +280,10 @@ class _Search:
         """Fit the model closely with better elements, and return it with its posterior."""
         self.presses = PalpationPresses(self._recording, self._settings, PALPATION_ELEMENT)
         fit = self.model.fit
+        field, z, level = fit.field, fit.z.copy(), fit.field.background.level
         # Linear elements are too stiff under the balls.
-        factor = self.presses.problem.contact_mpa / self._linear_mpa
-        field, z = fit.field, fit.field.scaled(fit.z, factor)
+        log = np.log(self.presses.problem.contact_mpa / self._linear_mpa)
+        z[level] += log / field.deviation[level]
         self._accept("final fit", self._fit(Start("", field, z, self.model.errors), _FINE))
         fit = self.model.fit
         count = len(fit.field.parts)
@@ -320,13 +313,12 @@ def find_palpation_shapes(
     *,
     max_shapes: int,
     max_models: int,
-    families: Sequence[str] = FOUND_FAMILIES,
     stop: Callable[[], bool] = lambda: False,
 ) -> ShapeReconstruction:
     """Find the inclusions under the presses of a palpation; see `find_shapes`."""
     with progress_line("search for inclusions") as update:
         update("uniform body")
-        search = _Search(recording, settings, families, stop)
+        search = _Search(recording, settings, stop)
         for number in range(2, max_models + 2):
             update(f"model {number}")
             if not search.improve(max_shapes):

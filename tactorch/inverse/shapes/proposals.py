@@ -28,9 +28,7 @@ _LAYERS = 8  # largest wave number of layers
 _SAME = 2.0  # distance of centres, in radii, below which two starts are of the same ball
 
 
-def propose(
-    problem: ShapeProblem, model: Model, max_shapes: int, families: Sequence[str]
-) -> list[Proposal]:
+def propose(problem: ShapeProblem, model: Model, max_shapes: int) -> list[Proposal]:
     """Return models that seem better than the present one, the best first.
 
     Whether they are better is judged at the noise of the one that explains the data best: at the
@@ -39,7 +37,7 @@ def propose(
     as much.
     """
     fit = model.fit
-    starts = list(_starts(problem, model, max_shapes, families))
+    starts = list(_starts(problem, model, max_shapes))
     proposals = [*_with_other_errors(problem, model), *_fitted(problem, model, starts)]
     inflation = max(1.0, min([fit.chi2, *(p.trial.chi2 for p in proposals)]))
     gains = [p.trial.log_evidence(inflation) - fit.log_evidence(inflation) for p in proposals]
@@ -88,9 +86,7 @@ def _with_other_errors(problem: ShapeProblem, model: Model) -> Iterator[Proposal
         yield Proposal(what, fit.field, fit.z, errors, trial)
 
 
-def _starts(
-    problem: ShapeProblem, model: Model, max_shapes: int, families: Sequence[str]
-) -> Iterator[Start]:
+def _starts(problem: ShapeProblem, model: Model, max_shapes: int) -> Iterator[Start]:
     field, z, errors = model.fit.field, model.fit.z, model.errors
     if len(field.families) < max_shapes:
         yield from _further(problem, model)
@@ -107,7 +103,7 @@ def _starts(
     for k, family in enumerate(field.families):
         # A further part of the model, or further presses, may explain what it was found for.
         yield Start(f"inclusion {k} removed", *without(field, z, [k]), errors)
-        for other in families_beyond(family, families):
+        for other in families_beyond(family):
             yield Start(f"inclusion {k} as {other.noun}", *with_family(field, z, k, other), errors)
 
 

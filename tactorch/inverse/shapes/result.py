@@ -169,7 +169,7 @@ class ShapeReconstruction(Displayed):
     @property
     def background_mpa(self) -> float:
         """Young's modulus of the background, MPa; the geometric mean where it is smooth."""
-        return float(np.exp(self.field.log_level(self.z)))
+        return float(np.exp(self.field.physical(self.z)[self.field.background.level]))
 
     def youngs_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         """Return the most probable Young's modulus at points (mm), MPa."""

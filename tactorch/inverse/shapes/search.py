@@ -21,7 +21,6 @@ from tactorch.inverse.errors.kept import KeptRims
 from tactorch.inverse.palpation import is_palpation
 from tactorch.inverse.settings import Settings
 from tactorch.inverse.shapes.model import (
-    FOUND_FAMILIES,
     MAX_LOG_ODDS,
     MIN_GAIN,
     Model,
@@ -54,7 +53,6 @@ def find_shapes(
     settings: Settings | None = None,
     *,
     max_shapes: int = _MAX_SHAPES,
-    families: Sequence[str] = FOUND_FAMILIES,
     start: ShapeReconstruction | ShapeState | None = None,
     stop: Callable[[], bool] = lambda: False,
     kept: KeptRims | None = None,
@@ -71,8 +69,6 @@ def find_shapes(
             corrected by finer meshes there and at inclusions, unless the provenance states that the
             presses were computed on the recording's mesh.
         max_shapes: Largest number of inclusions.
-        families: Families of inclusions, of "ball", "ellipsoid" and "cuboid" (see
-            `tactorch.inverse.fields.FAMILIES`). Balls are always among them.
         start: Result for other presses on the object, such as the earlier ones of a session, or
             what a search had `reached` that was stopped, from whose model the search starts; by
             default, and from a model without inclusions, it starts from a uniform body.
@@ -95,14 +91,13 @@ def find_shapes(
         raise ConfigError(unknown_choice("errors", name, known))
     if is_palpation(recording):
         return find_palpation_shapes(
-            recording, settings, max_shapes=max_shapes, max_models=_MAX_MODELS, families=families,
-            stop=stop,
-        )  # fmt: skip
+            recording, settings, max_shapes=max_shapes, max_models=_MAX_MODELS, stop=stop
+        )
     refined = recording if is_same_model(recording) else refined_at_contacts(recording)
     with progress_line("search for inclusions") as update:
         update("elements at the contacts")
         problem = ShapeProblem(refined, settings, stop, kept, errors)
-        model, result = _search(problem, start, max_shapes, families, update)
+        model, result = _search(problem, start, max_shapes, update)
         return with_predictions(result, model, recording)
 
 
@@ -110,7 +105,6 @@ def _search(
     problem: ShapeProblem,
     start: ShapeReconstruction | ShapeState | None,
     max_shapes: int,
-    families: Sequence[str],
     update: Callable[[str], None],
 ) -> tuple[Model, ShapeReconstruction]:
     """Accept models of more evidence until there is none; return the last one, and the result."""
@@ -119,7 +113,7 @@ def _search(
     try:
         for number in range(2, _MAX_MODELS + 2):
             update(f"model {number}, predictions of proposals")
-            proposals = propose(problem, model, max_shapes, families)
+            proposals = propose(problem, model, max_shapes)
             update(f"model {number}")
             if (accepted := _accept(problem, model, proposals)) is None:
                 break

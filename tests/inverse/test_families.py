@@ -1,0 +1,177 @@
+"""Families of inclusions: what each one states of itself, and a cuboid's own data."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tactorch.inverse.data import NoiseModel
+from tactorch.inverse.fields import (
+    BALL,
+    ELLIPSOID,
+    FAMILIES,
+    Candidate,
+    ShapeField,
+    ShapePrior,
+    Sites,
+)
+from tactorch.inverse.fields.cuboid import CUBOID
+from tactorch.inverse.fields.family import families_beyond
+from tactorch.inverse.fields.inclusion import Parameters
+from tactorch.inverse.problem import InverseProblem
+from tactorch.inverse.shapes import ShapeReconstruction
+from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
+from tactorch.inverse.shapes.model import as_judged, with_family
+from tactorch.inverse.shapes.posterior import ShapePosterior
+from tactorch.mesh import Box, box_mesh
+from tactorch.phantoms import make_phantom
+from tactorch.simulation import PressPlan, simulate
+
+MESH = box_mesh(10.0, 4, tets_per_cell=5)
+PRIOR = ShapePrior.of(MESH, 0.2)
+COMMON = [5.0, 4.6, 5.7, np.log(2.2), 1.2]
+DISTORTED = [0.2, -0.1, 0.1, -0.2, 0.15]
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """Presses on two sides of a uniform body."""
+    plan = PressPlan(("z+", "x+"), (0.01, 0.02))
+    return simulate(make_phantom("uniform_cube"), plan, mesh=MESH, fine_mesh=MESH)
+
+
+@pytest.fixture(scope="module")
+def problem(recording):
+    return InverseProblem(recording, noise=NoiseModel(relative=1e-3))
+
+
+def parameters(name: str) -> tuple[ShapeField, np.ndarray]:
+    """Return a field of one inclusion of a family, with distortions, and its parameters."""
+    family = FAMILIES[name]
+    field = ShapeField(PRIOR, (family,))
+    own = [*COMMON, *DISTORTED[: len(family.distortions)]]
+    return field, field.standard(np.array([np.log(0.2), *own]))
+
+
+@pytest.mark.parametrize("name", [*FAMILIES])
+def test_derivatives_are_those_of_the_modulus(problem, name):
+    (field, z), sites = parameters(name), Sites.of(problem.body.assembly)
+    jacobian = field.jacobian(z, sites)
+    assert np.abs(jacobian).max(axis=0).min() > 1e-2  # else the test shows nothing
+    for k, step in enumerate(1e-5 * np.eye(field.size)):
+        slope = (field.log_youngs(z + step, sites) - field.log_youngs(z - step, sites)) / 2e-5
+        # A sample point beside a diagonal plane of the cuboid has two slopes in between.
+        atol = 1e-6 if name == "cuboid" else 1e-7
+        np.testing.assert_allclose(jacobian[:, k], slope, atol=atol)
+
+
+@pytest.mark.parametrize("name", [*FAMILIES])
+def test_the_body_is_where_the_modulus_differs(name):
+    field, z = parameters(name)
+    (shape,) = field.shapes(z)
+    points = np.random.default_rng(0).uniform(0.0, 10.0, (200_000, 3))
+    inside = field.log_youngs(z, Sites.at(points)) > np.log(0.2) + 0.6
+    np.testing.assert_array_equal(shape.contains(points), inside)
+    np.testing.assert_array_equal(shape.distance(points) <= 0.0, inside)
+    assert 1000.0 * inside.mean() == pytest.approx(4.0 / 3.0 * np.pi * 2.2**3, rel=0.03)
+    assert shape.radius_mm == pytest.approx(2.2)
+    largest = np.abs(points[inside] - shape.center_mm).max(axis=0)
+    assert (largest <= shape.half_size_mm).all()
+    np.testing.assert_allclose(largest, shape.half_size_mm, rtol=0.05)
+    vertices, _ = shape.surface(16)
+    np.testing.assert_allclose(np.abs(shape.distance(vertices)).max(), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", [*FAMILIES])
+def test_a_smooth_boundary_keeps_the_volume(problem, name):
+    (field, z), assembly = parameters(name), problem.body.assembly
+    excess = field.log_youngs(z, Sites.of(assembly)) - np.log(0.2)
+    volume = float(excess @ assembly.weights.ravel()) / 1.2
+    assert volume == pytest.approx(4.0 / 3.0 * np.pi * 2.2**3, rel=0.03)
+
+
+def test_a_cuboid_has_the_sides_that_its_parameters_say():
+    """Half-lengths of 1.5, 2 and 2.5 mm; volume, radius and ratios follow."""
+    half = np.array([1.5, 2.0, 2.5])
+    logs = np.log(half * np.cbrt(6.0 / np.pi))
+    ratios = [(logs[0] - logs[1]) / np.sqrt(2.0), (logs[0] + logs[1] - 2 * logs[2]) / np.sqrt(6.0)]
+    own = Parameters.of(np.array([5.0, 4.6, 5.7, logs.mean(), 1.2, *ratios]))
+    np.testing.assert_allclose(CUBOID.shape(own).half_size_mm, half)
+    points = np.random.default_rng(1).uniform(0.0, 10.0, (500, 3))
+    box = Box((5.0, 4.6, 5.7), tuple(2.0 * half))
+    found = CUBOID.distance(own, points[:, None])[:, 0]
+    np.testing.assert_allclose(found, box.signed_distance(points))
+
+
+@pytest.mark.parametrize("name", [*FAMILIES])
+def test_results_and_pictures_are_of_any_family(name):
+    field, z = parameters(name)
+    posterior = ShapePosterior(field, z, np.zeros(len(z)), 1e-4 * np.eye(len(z)))
+    result = ShapeReconstruction(field, z, posterior, 1.0, (9.0,), 9.0)
+    (inclusion,) = ShapeReconstruction.of(json.loads(json.dumps(result.plain()))).inclusions
+    assert inclusion.shape == next(field.shapes(z))
+    assert inclusion.youngs_mpa == pytest.approx(0.2 * np.exp(1.2))
+    low, high = inclusion.radius_90_mm
+    assert np.log(high / low) == pytest.approx(2 * 1.645 * 0.01 * PRIOR.log_radius, rel=0.1)
+    (solid,) = result.to_pyvista()
+    assert solid.volume == pytest.approx(4.0 / 3.0 * np.pi * 2.2**3, rel=0.02)
+
+
+def test_a_family_becomes_a_more_general_one():
+    """A search goes on from balls to ellipsoids; a cuboid is tried on request."""
+    assert families_beyond(BALL) == [ELLIPSOID]
+    assert families_beyond(ELLIPSOID) == families_beyond(CUBOID) == []
+    field, z = parameters("ellipsoid")
+    cuboids, same = with_family(field, z, 0, CUBOID)
+    before, after = field.own(field.physical(z), 0), cuboids.own(cuboids.physical(same), 0)
+    np.testing.assert_allclose(after.center, before.center)
+    np.testing.assert_allclose(after[1:3], before[1:3])
+    np.testing.assert_allclose(after.distortions, before.distortions[:2])
+    balls = ShapeField(PRIOR, (BALL, CUBOID))
+    judged, _ = as_judged(balls, np.zeros(balls.size))
+    assert judged.families == (ELLIPSOID, CUBOID)
+
+
+def test_balls_and_rods_are_born_in_the_families_that_are_for_them():
+    ball = Candidate(np.array([1.0, 2.0, 3.0]), 2.0, 0.5, 10.0, np.zeros(3))
+    rod = ball._replace(half_mm=np.array([0.0, 4.0, 0.0]))
+    np.testing.assert_allclose(BALL.birth(ball), [1.0, 2.0, 3.0, np.log(2.0), 0.5])
+    assert BALL.birth(rod) is ELLIPSOID.birth(ball) is CUBOID.birth(ball) is None
+    shape = ELLIPSOID.shape(Parameters.of(ELLIPSOID.birth(rod)))
+    assert shape.semi_axes_mm == pytest.approx((6.0, 2.0, 2.0))
+    np.testing.assert_allclose(shape.half_size_mm, [2.0, 6.0, 2.0])
+
+
+def test_files_name_the_families_and_those_of_earlier_versions_load():
+    field = ShapeField(PRIOR, (CUBOID, BALL, ELLIPSOID))
+    plain = json.loads(json.dumps(field.plain()))
+    assert plain["families"] == ["cuboid", "ball", "ellipsoid"]
+    assert ShapeField.of(plain).families == field.families
+    del plain["families"]
+    plain["distorted"] = [False, True]
+    assert ShapeField.of(plain).families == (BALL, ELLIPSOID)
+
+
+def test_a_cuboid_is_found_in_its_own_data(problem):
+    """Data of a cuboid are explained by a cuboid, from a ball at another place, and by no ball."""
+    field, z = parameters("cuboid")
+    sites = Sites.of(problem.body.assembly)
+    exact = problem.evaluate(ShapesOnSites(field, sites).at(z).youngs)
+    noise = [np.random.default_rng(k).normal(size=n) for k, n in enumerate(problem.data.counts)]
+    changes = [
+        predicted - observation.values + one / problem.data.scale[begin : begin + len(one)]
+        for predicted, observation, one, begin in zip(
+            exact.predicted, problem.data.observations, noise, problem.data.begins, strict=True
+        )
+    ]
+    data = problem.with_data(problem.data.shifted(changes))
+    ball = ShapeField(PRIOR, (BALL,))
+    start = ball.standard(np.array([np.log(0.2), 5.5, 5.0, 5.5, np.log(2.0), 0.8]))
+    round_fit, _ = fit_shapes(data, ball, start, sites=sites)
+    fit, _ = fit_shapes(data, *with_family(ball, round_fit.z, 0, CUBOID), sites=sites)
+    assert fit.chi2 == pytest.approx(1.0, abs=0.15)
+    assert fit.log_evidence() > round_fit.log_evidence() + 3.0
+    deviations = (fit.z - z) / np.sqrt(np.diag(fit.covariance))
+    assert np.abs(deviations).max() < 3.5
+    others = slice(4, None)  # radius, contrast and ratios are better known than beforehand
+    assert np.sqrt(np.diag(fit.covariance))[others].max() < 0.5
