@@ -35,22 +35,23 @@ def checker(function: Callable[..., Any]) -> Callable[..., Any]:
 
     Settings check and convert their values themselves.
     """
-    checked = _check(function)
     is_init = function.__qualname__.endswith("__init__")
+    checked: Callable[..., Any] | None = None  # made at the first call: most are never called
     of_test = own = 0
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         global _count
-        nonlocal of_test, own
+        nonlocal checked, of_test, own
         _count, own = _count + 1, own + 1 if of_test == _test else 1
         of_test = _test
         if _count == MAX_CHECKS:
             jaxtyping.config.update("jaxtyping_disable", True)
-        if 0 < MAX_CHECKS and own > MAX_EACH:
+        if MAX_CHECKS > 0 and own > MAX_EACH:
             return None
         if is_init and args and _is_settings(type(args[0])):
             return None
+        checked = checked or _check(function)
         return checked(*args, **kwargs)
 
     return call

@@ -157,6 +157,7 @@ def tiny(benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     }
     monkeypatch.setattr(true_cases, "OBJECTS", {"tiny": lambda: body})
     monkeypatch.setattr(true_cases, "LUMP_PER_RADIUS", 2.5)
+    monkeypatch.setattr(true_cases, "CREASE_PER_SIZE", 0.3)
     monkeypatch.setattr(true_cases, "RECORDED_PER_RADIUS", 1.0)
     monkeypatch.setattr(true_cases, "RIM_PER_RADIUS", 1.0)
     monkeypatch.setattr(true_cases, "PRESSES", presses)
