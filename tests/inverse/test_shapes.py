@@ -50,7 +50,7 @@ PLAN = PressPlan(("z+", "x+"), (0.01, 0.02))
 def recording():
     """Presses on a ball of radius 2.5 mm and 1 MPa at (5, 5, 6) mm, from a finer other mesh."""
     phantom = make_phantom("cube_sphere", depth=0.4, radius=0.25)
-    fine = phantom.mesh(2.0, conforming=True)
+    fine = phantom.mesh(1.5, conforming=True)
     return simulate(phantom, PLAN, mesh=MESH, fine_mesh=fine, element="tet10", snr_db=40.0)
 
 
