@@ -157,6 +157,7 @@ def tiny(benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     }
     monkeypatch.setattr(true_cases, "OBJECTS", {"tiny": lambda: body})
     monkeypatch.setattr(true_cases, "LUMP_PER_RADIUS", 2.5)
+    monkeypatch.setattr(true_cases, "CREASE_PER_SIZE", 0.3)
     monkeypatch.setattr(true_cases, "RECORDED_PER_RADIUS", 1.0)
     monkeypatch.setattr(true_cases, "RIM_PER_RADIUS", 1.0)
     monkeypatch.setattr(true_cases, "PRESSES", presses)
@@ -170,6 +171,12 @@ def tiny(benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.setattr(benchmark, "CASES", cases)
     monkeypatch.setattr(benchmark, "EMPTY_CASES", ())
     return benchmark
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of solutions of the tiny object, each solved once."""
+    return tmp_path_factory.mktemp("solutions")
 
 
 @pytest.mark.slow
@@ -201,10 +208,10 @@ def received(tiny: ModuleType, monkeypatch: pytest.MonkeyPatch) -> list[Recordin
 
 
 def test_no_truth_reaches_a_method_and_noise_is_as_stated(
-    tiny: ModuleType, received: list[Recording], tmp_path: Path
+    tiny: ModuleType, received: list[Recording], cache: Path
 ) -> None:
-    tiny.main(["--set", "all", "--cache", str(tmp_path)])
-    exact = [case.solution.recording(tmp_path) for case in tiny.CASES]
+    tiny.main(["--set", "all", "--cache", str(cache)])
+    exact = [case.solution.recording(cache) for case in tiny.CASES]
     assert len(received) == len(tiny.CASES)
     for case, recording, clean in zip(tiny.CASES, received, exact, strict=True):
         assert recording.truth is None
@@ -232,9 +239,9 @@ def test_no_truth_reaches_a_method_and_noise_is_as_stated(
 
 
 def test_the_mesh_of_the_solution_may_be_finer(
-    tiny: ModuleType, received: list[Recording], tmp_path: Path
+    tiny: ModuleType, received: list[Recording], cache: Path
 ) -> None:
-    arguments = ["--cache", str(tmp_path), "--only", "tiny-both-40db"]
+    arguments = ["--cache", str(cache), "--only", "tiny-both-40db"]
     tiny.main(arguments)
     tiny.main([*arguments, "--refined", "0.7"])
     coarse, fine = received
@@ -314,22 +321,22 @@ def test_an_interrupted_run_resumes(
 
 
 def test_recordings_are_cached(
-    tiny: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tiny: ModuleType, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import true_cases
 
     case = tiny.CASES[0]
-    first = true_cases.make_recording(case, tmp_path)
+    first = true_cases.make_recording(case, cache)
 
     def refuse(self: Any) -> None:
         raise AssertionError("solved again")
 
     monkeypatch.setattr(true_cases.Solution, "solve", refuse)
-    second = true_cases.make_recording(case, tmp_path)
+    second = true_cases.make_recording(case, cache)
     np.testing.assert_array_equal(first.presses[-1].displacement, second.presses[-1].displacement)
     monkeypatch.setattr(true_cases, "FORMAT", true_cases.FORMAT + 1)
     with pytest.raises(AssertionError, match="solved again"):
-        true_cases.make_recording(case, tmp_path)
+        true_cases.make_recording(case, cache)
 
 
 @pytest.mark.slow

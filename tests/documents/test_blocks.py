@@ -6,6 +6,7 @@ their settings checked; those marked `run` are run.
 
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -148,7 +149,13 @@ def check_tactorch(words: list[str]) -> None:
     for settings in zip(*combinations(given), strict=True):
         resumed = any(word.startswith("resume=") for word in settings) and verb == "invert"
         if "--help" not in words:
-            compose_options(verb, [*settings, *(["recording=of_the_run"] if resumed else [])])
+            compose(verb, *settings, *(["recording=of_the_run"] if resumed else []))
+
+
+@cache
+def compose(verb: str, *settings: str) -> None:
+    """Compose a command, which stands on many pages, once."""
+    compose_options(verb, [*settings])
 
 
 def combinations(given: list[str]) -> list[list[str]]:

@@ -141,10 +141,13 @@ def test_vertex_forces_of_the_quadratic_element_are_differentiable(block, held, 
     covered = SoftBody(block, make_material("linear", 0.3)).pressure("z+", 0.01)
     nodes = np.flatnonzero(covered.abs().sum(1))
 
+    mixed = torch.randn(2, body.n_nodes * 3, dtype=torch.float64)
+
     def solve(values):
+        """Two combinations of all displacements: each output costs solves for its gradient."""
         forces = covered.clone()
         forces[nodes[:2]] = values
-        return body.solve(youngs, forces, held)
+        return mixed @ body.solve(youngs, forces, held).ravel()
 
     values = covered[nodes[:2]].clone().requires_grad_()
     assert gradcheck(solve, values, check_forward_ad=True)

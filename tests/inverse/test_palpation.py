@@ -1,6 +1,7 @@
 """Maps and shapes from the forces on a ball at many places, without inverse crime."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -43,9 +44,10 @@ def positions() -> np.ndarray:
     return np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
+@cache
 def measured(lump: bool) -> np.ndarray:
     """Forces on another, finer mesh; (places, depths)."""
-    mesh, fixed = block(1.5)
+    mesh, fixed = block(2.0)
     nothing = np.zeros((mesh.n_points, 3))
     body = SoftBody(mesh, make_material("linear", 0.45), element="tet10")
     places = [BallPlace(np.array([*xy, 0.0]), np.array([0.0, 0.0, 1.0]), BALL, DEPTHS[-1])

@@ -101,9 +101,10 @@ def test_derivatives_are_finite_differences(recording: Recording, element: str) 
 
 
 def test_motions_of_probes_are_finite_differences(recording: Recording) -> None:
+    recording = replace(recording, presses=recording.presses[::2])
     problem = _problem(recording, "tet10")
     motions = problem.evaluate(YOUNGS).probe_motions()
-    for k, axis in ((0, 2), (2, 0)):
+    for k, axis in ((0, 2), (1, 0)):
         seen = []
         for sign in (1.0, -1.0):
             moved = _problem(recording, "tet10")

@@ -32,6 +32,7 @@ def field_of(seed: int, spread: float = 1.0, mesh: TetMesh = MESH) -> np.ndarray
 
 
 @pytest.mark.parametrize("name", PRIORS.names())
+@settings(max_examples=10, deadline=None)
 @given(level=st.floats(-7.0, 5.0))
 def test_a_uniform_field_costs_nothing(name: str, level: float) -> None:
     prior = PRIORS.build(name).on(MESH)

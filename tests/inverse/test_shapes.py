@@ -263,7 +263,7 @@ def test_the_evidence_is_the_integral_of_the_likelihood(problem, sites):
     fit, _ = fit_shapes(problem, field, np.zeros(1), sites=sites, tolerance=1e-10)
     objective = Objective(problem, ShapesOnSites(field, sites), weight=1.0)
     deviation = np.sqrt(fit.covariance[0, 0])
-    z = fit.z[0] + deviation * np.linspace(-5.0, 5.0, 21)
+    z = fit.z[0] + deviation * np.linspace(-5.0, 5.0, 13)
     least = objective.at(fit.z).value(1.0)
     heights = [np.exp(least - objective.at(np.array([x])).value(1.0)) for x in z]
     integral = np.log(scipy.integrate.simpson(heights, x=z)) - least - 0.5 * np.log(2.0 * np.pi)
@@ -320,6 +320,7 @@ def test_a_start_that_the_presses_contradict_is_removed(uniform_recording):
     assert result.inclusions == []
 
 
+@pytest.mark.slow
 def test_a_background_that_varies_gives_way_to_inclusions(recording, found):
     """A varying background is not kept beside a ball that explains as much."""
     field, z = varied(found.field, found.z, degree=2)
@@ -380,6 +381,7 @@ def test_a_stopped_search_goes_on_from_what_it_reached(recording):
     assert (np.abs(result.z - expected.z) < deviation).all()
 
 
+@pytest.mark.slow
 def test_presses_without_noise_have_no_spurious_parts():
     """The error of the discretisation is not explained by further inclusions."""
     phantom = make_phantom("cube_sphere", depth=0.4, radius=0.25)
@@ -544,7 +546,7 @@ def test_the_correction_is_the_error_of_the_common_mesh():
 
     problem, fit, before = evaluate(recording)
     rim = Rim.of(recording.presses[0], recording.mesh)
-    sizing = rim.sizing(0.12, 0.7, 0.2)
+    sizing = rim.sizing(0.2, 0.7, 0.2)
     _, _, finest = evaluate(refine_recording(recording, sizing, smooth_tractions=True))
     correction = Correction.of(problem, "tet10", "auto")
     offsets = correction.offsets(fit, before)

@@ -38,7 +38,7 @@ from tactorch.simulation.plan import PressSite
 
 RADIUS_MM = 3.0
 MESH = box_mesh(10.0, 6, tets_per_cell=5)
-FINE = box_mesh(10.0, 12, tets_per_cell=5)
+FINE = box_mesh(10.0, 9, tets_per_cell=5)
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +50,17 @@ def recording():
         for press in made.presses
     )
     return replace(made, presses=presses)
+
+
+@pytest.fixture(scope="module")
+def presses(recording):
+    """The search's problem, as if nothing were known of the simulation."""
+    return ShapeProblem(replace(recording, provenance={}), Settings())
+
+
+@pytest.fixture(scope="module")
+def uniform(presses):
+    return presses.uniform()
 
 
 @pytest.fixture(scope="module")
@@ -146,9 +157,8 @@ def test_errors_at_rims_are_kept_while_the_moduli_there_remain(recording, proble
     assert at_both > at_ball
 
 
-def test_the_search_may_take_tractions_at_rims_as_wrong(recording):
-    presses = ShapeProblem(replace(recording, provenance={}), Settings())
-    presses.uniform()
+@pytest.mark.usefixtures("uniform")
+def test_the_search_may_take_tractions_at_rims_as_wrong(presses):
     levels = [e.get("rims", 0.0) for _, e in presses.errors.others(presses.least_errors)]
     assert set(levels) == {0.0, *Rims.levels}
     small, large = (presses.data({**presses.least_errors, "rims": rims}) for rims in (0.1, 0.5))
@@ -193,9 +203,8 @@ def test_a_search_starts_from_the_deviation_at_rims_of_another(recording):
     assert np.exp(field.physical(model.fit.z)[0]) == pytest.approx(0.2, rel=0.1)
 
 
-def test_the_result_states_the_deviation_at_rims(recording, tmp_path):
-    presses = ShapeProblem(recording, Settings())
-    model = presses.uniform()
+def test_the_result_states_the_deviation_at_rims(presses, uniform, tmp_path):
+    model = uniform
     posterior = make_posterior(model, presses.sites)
     result = ShapeReconstruction(model.fit.field, model.fit.z, posterior, 1.0, (), 0.0)
     plain = replace(result, errors={"rims": 0.2}).plain()

@@ -43,7 +43,7 @@ def _check(result: Conforming) -> None:
     assert result.sides.shape[1] == mesh.n_tets
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(
     center=st.tuples(*[st.floats(3.5, 6.5)] * 3),
     radius=st.floats(0.8, 2.8),

@@ -109,7 +109,7 @@ def test_wrong_settings_are_refused(body: Box | Cylinder, settings: dict, messag
 
 def test_faces_of_a_box_are_plane() -> None:
     ball = Sphere((5.0, 5.0, 6.0), 2.0)
-    mesh = Phantom(Box((5.0,) * 3, (10.0, 10.0, 10.0)), [(ball, 1.0)]).mesh(2.0, conforming=True)
+    mesh = Phantom(Box((5.0,) * 3, (10.0, 10.0, 10.0)), [(ball, 1.0)]).mesh(3.0, conforming=True)
     assert mesh.volumes.sum() == pytest.approx(1000.0, abs=1e-9)
     nodes = np.unique(mesh.surface.triangles)
     planes = np.minimum(np.abs(mesh.points[nodes]), np.abs(mesh.points[nodes] - 10.0))

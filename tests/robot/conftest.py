@@ -19,12 +19,12 @@ def mesh() -> TetMesh:
     return box_mesh(10.0, 5, tets_per_cell=5)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def patches() -> list[Patch]:
     return [Patch(np.array([x, y, 10.0]), DOWN, 2.5) for x, y in [(5, 5), (4, 4), (6, 6), (4, 6)]]
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_presser(mesh: TetMesh) -> Callable[..., RobotPresser]:
     def make(robot: Any, timeout_seconds: float = 30.0) -> RobotPresser:
         held = mesh.points[:, 2] < 1e-6

@@ -17,6 +17,14 @@ from tactorch.sampling import Patch, Presser
 Make = Callable[..., RobotPresser]
 
 
+@pytest.fixture(scope="module")
+def predicted(make_presser: Make, patches: list[Patch]) -> Any:
+    """A presser, a press and its prediction on a finer mesh."""
+    presser = make_presser(FakeRobot())
+    press = presser.press(patches[1])
+    return presser, press, presser.fine_prediction(press, 0.2)
+
+
 def test_displacements_at_nodes_are_those_of_the_points(
     make_presser: Make, patches: list[Patch]
 ) -> None:
@@ -125,12 +133,10 @@ def test_poses_survive_as_plain_values(make_presser: Make, patches: list[Patch])
     assert again.seen[name].patch.radius_mm == 2.5
 
 
-def test_the_finer_mesh_agrees_far_from_the_rim(make_presser: Make, patches: list[Patch]) -> None:
-    presser = make_presser(FakeRobot())
-    press = presser.press(patches[0])
-    predicted = presser.fine_prediction(press, 0.2)
-    assert predicted is not None
-    better, present, per_mm = predicted
+def test_the_finer_mesh_agrees_far_from_the_rim(predicted: Any) -> None:
+    presser, press, prediction = predicted
+    assert prediction is not None
+    better, present, per_mm = prediction
     assert per_mm.shape == (2, *better.shape)
     held = presser.held
     assert not better[held].any()
@@ -156,17 +162,12 @@ def test_nodes_at_the_edge_of_the_points_have_more_noise(
     assert deviations[radii.argmax()] > 1.05 * deviations[radii.argmin()]
 
 
-def test_a_wrong_position_changes_the_displacements_as_predicted(
-    make_presser: Make, patches: list[Patch]
-) -> None:
+def test_a_wrong_position_changes_the_displacements_as_predicted(predicted: Any) -> None:
     """A press at another place with its points, whose position is reported as before."""
-    presser = make_presser(FakeRobot())
-    press = presser.press(patches[1])
-    predicted = presser.fine_prediction(press, 0.2)
-    assert predicted is not None
+    presser, press, prediction = predicted
     seen = presser.seen[press.name]
     step = 0.1 * across(seen.patch.inward)[0]
     there = presser._fine(seen.moved(step, presser.mesh), press.total_force, 0.2)
-    change, told = there - predicted.better, 0.1 * predicted.per_mm[0]
-    assert np.linalg.norm(change) > 0.005 * np.linalg.norm(predicted.better)
+    change, told = there - prediction.better, 0.1 * prediction.per_mm[0]
+    assert np.linalg.norm(change) > 0.005 * np.linalg.norm(prediction.better)
     assert np.linalg.norm(change - told) < 0.3 * np.linalg.norm(change)
