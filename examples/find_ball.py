@@ -1,7 +1,7 @@
 """Find a stiff ball in a soft cube from noisy presses on three sides.
 
-The presses are solved with quadratic elements on a finer mesh that follows the ball, without inverse
-crime, and have 40 dB of noise.
+The presses are solved with quadratic elements on a finer mesh that follows the ball, without
+inverse crime, and have 40 dB of noise.
 """
 
 import numpy as np
