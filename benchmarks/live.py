@@ -169,7 +169,7 @@ def session(name: str, rule: str) -> dict[str, Any]:
             suggester = Suggester(Settings(), SuggestOptions(rule=rule))
             ended = SamplingLoop(
                 RecordingSource(path),
-                Settings(),
+                Settings(method="map"),
                 folder,
                 robot,
                 options=options,

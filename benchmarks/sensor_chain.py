@@ -10,7 +10,7 @@ object only, by the commands of tactorch:
 
     tactorch sensor calibrate   from drawn presses of a ball
     tactorch sensor record      markers, depth, forces, presses on a mesh of the cube
-    tactorch invert             map and shapes
+    tactorch invert             inclusions
 
 The error of each stage is relative to the simulation. Sessions differ in the ball, the place of the
 sensor, the depths and the seed of the noise. The last line printed is one JSON object.
@@ -34,7 +34,7 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial.transform import Rotation
 from sensor_truth import Ball, Contact, PressedBox, press_box
 
-from tactorch.inverse import ShapeReconstruction
+from tactorch.inverse import Reconstruction
 from tactorch.inverse.shapes import ShapeInclusion
 from tactorch.recording import Press, Recording
 from tactorch.sensor.calibration import Calibration, load_calibration
@@ -345,8 +345,10 @@ def _between(points: np.ndarray, values: np.ndarray, places: np.ndarray) -> np.n
 
 def inverted(place: Path, session: Session) -> dict[str, Any]:
     """Invert, and compare the inclusion that was found with the ball."""
-    tactorch("invert", f"recording={place}/recording.h5", f"run_dir={place}/invert")
-    shapes = ShapeReconstruction.of(json.loads((place / "invert" / "shapes.json").read_text()))
+    recording, folder = place / "recording.h5", place / "invert"
+    tactorch("invert", f"recording={recording}", "method=inclusions", f"run_dir={folder}")
+    shapes = Reconstruction.load(folder / "reconstruction.h5").shapes
+    assert shapes is not None
     ball = session.ball
     figures = {
         "inclusions": len(shapes.inclusions), "chi2": shapes.chi2,

@@ -21,7 +21,7 @@ def load(path: str | Path) -> Any:
     |---|---|
     | `.h5` of `Recording.save` or a command | `Recording` |
     | `.h5` of `Reconstruction.save`, folder of a run of `tactorch invert` | `Reconstruction` |
-    | `shapes.json` of such a run | `ShapeReconstruction` |
+    | `shapes.json` of `tactorch live`, and of runs of earlier versions | `ShapeReconstruction` |
     | folder of `tactorch generate` | `SampleSet` |
     | `.msh`, `.vtu`, `.inp` | `TetMesh`, of a mesh in mm; `read_mesh` takes other units |
     | `.yaml` of a sensor | `SensorDescription` |

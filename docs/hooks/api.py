@@ -80,7 +80,7 @@ FIRST = (
     "Recording", "Press", "Phantom", "make_phantom", "simulate", "PressPlan", "invert", "Settings",
     "Reconstruction", "compute_posterior", "sample", "SoftBody", "Supports", "make_material",
     "TetMesh", "read_mesh", "tetrahedralize", "SensorDescription", "load_sensor", "SensorChain",
-    "record", "scores", "find", "find_lump", "find_inclusion", "TactorchError",
+    "record", "scores", "find_lump", "find_inclusion", "TactorchError",
 )  # fmt: skip
 
 

@@ -6,11 +6,12 @@ They are of presses that are simulated on finer meshes of quadratic elements tha
 inclusions. The pictures of the report and of a live session are screenshots.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from tactorch import PressPlan, Settings, find, invert, make_phantom, simulate
+from tactorch import PressPlan, Settings, invert, make_phantom, simulate
 from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.fem.contact import Ball
 from tactorch.fem.indentation import BallPlace, Indentation
@@ -24,22 +25,26 @@ OUT = Path(__file__).parent / "gallery"
 
 
 def first_inversion() -> None:
-    """A ball in a cube: finding, view in 3-D, and a comparison of priors."""
+    """A ball in a cube: slices, view in 3-D, and a comparison of priors of the element map."""
     phantom = make_phantom("cube_sphere", depth=0.4)
+    sides, mesh = ("z+", "x+", "y+"), phantom.mesh(2.0)
     recording = simulate(
-        phantom, PressPlan(["z+", "x+", "y+"], [0.02]), mesh=phantom.mesh(2.0),
+        phantom, PressPlan(sides, p_max_mpa=0.02, steps=4), mesh=mesh, samples=4,
         fine_mesh=phantom.mesh(1.2, conforming=True), element="tet10", snr_db=40,
     )  # fmt: skip
     priors = ("total_variation", "tikhonov", "log_jumps")
-    runs = {name: invert(recording, Settings(regularization=name)) for name in priors}
-    finding = find(recording, runs["total_variation"])
-    save_figure(finding.plot(), OUT / "finding.png", dpi=60)
-    finding.show(screenshot=OUT / "view.png")
+    result = invert(recording)
+    save_figure(result.plot(), OUT / "finding.png", dpi=60)
+    result.show(screenshot=OUT / "view.png")
+    runs = {name: invert(recording, Settings(method="map", regularization=name)) for name in priors}
+    both = replace(result, other=runs["total_variation"])
+    save_figure(both.plot(truth=recording.truth), OUT / "descriptions.png", dpi=60)
     save_figure(comparison_figure(runs), OUT / "comparison.png", dpi=55)
     save_figure(
         convergence_figure({n: r.history for n, r in runs.items()}), OUT / "convergence.png", dpi=60
     )
-    save_figure(recording.plot(), OUT / "presses.png", dpi=55)
+    once = simulate(phantom, PressPlan(sides, [0.02]), mesh=mesh, element="tet10", snr_db=40)
+    save_figure(once.plot(), OUT / "presses.png", dpi=55)
 
 
 def palpation() -> None:

@@ -1,4 +1,4 @@
-"""`tactorch demo`: from presses to a map of stiffness.
+"""`tactorch demo`: from presses to the map of Young's modulus and the lumps in it.
 
     tactorch demo                                  a soft cube with a stiff ball, simulated on a
                                                    finer mesh and with noise, then inverted

@@ -1,4 +1,4 @@
-"""`tactorch live`: follow a growing recording: the map after each press, and where to press next.
+"""`tactorch live`: follow a growing recording: map and lumps, and where to press next.
 
     tactorch live recording=session.h5
     tactorch live recording=FOLDER idle_seconds=60
@@ -8,8 +8,9 @@
     tactorch live presser=mylab.robot:MyRobot robot.mesh=body.vtu      your robot
 
 Append presses with tactorch.recording.append_press. Open live.html in the run folder: it updates
-itself. While no press waits, inclusions with sharp boundaries are fitted to all presses. The folder
-also gets live.png, reconstruction.h5, shapes.json and history.jsonl. With a robot the loop is
+itself. An element map is updated after each press. While no press waits, inclusions with sharp
+boundaries are fitted to all presses (not with method=map). The folder also gets live.png,
+reconstruction.h5, shapes.json and history.jsonl. With a robot the loop is
 closed: it presses where the position of the lump becomes most certain, until that is known as well
 as stop.width_mm states, or nothing was found.
 """

@@ -342,7 +342,7 @@ class SamplingLoop:
         self._publish(solution, [a.key for a in batch], time.perf_counter() - started)
 
     def _use_idle_time(self) -> None:
-        """Refine the map, suggest a press and fit shapes, until a press waits."""
+        """Refine the map, suggest a press and fit inclusions, until a press waits."""
         self._refine_and_suggest()
         self._find_and_suggest(stop=self._press_waits)
 

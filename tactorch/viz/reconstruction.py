@@ -68,6 +68,7 @@ def reconstruction_figure(
     patches = [] if pressed is None else contact_patches(mesh, pressed)
     height = len(rows) * _PANEL_INCHES + 0.5
     figure, grid = new_grid(3 * _PANEL_INCHES + 1.0, height, len(rows), 3)
+    last = list(rows)[-1]
     for (name, values), row in zip(rows.items(), grid, strict=True):
         for piece, field, axes in zip(slices, fields, row, strict=True):
             pixels = field if values is None else piece.values(values)
@@ -80,8 +81,7 @@ def reconstruction_figure(
             for patch in patches:
                 segments = cut_triangles(mesh.points, patch.triangles, *_plane(piece))
                 axes.add_collection(LineCollection(list(segments), colors=CONTACT, linewidths=2.5))
-            is_last = row is grid[-1]
-            _label(axes, piece, name if axes is row[0] else "", is_last)
+            _label(axes, piece, name if axes is row[0] else "", name == last)
     figure.colorbar(ScalarMappable(norm, cmap), ax=grid, label=MODULUS_LABEL, shrink=0.8)
     if result.reasons:
         figure.suptitle("Do not trust this result: see its summary", color="firebrick", fontsize=10)

@@ -47,9 +47,9 @@ def to_pyvista(thing: object) -> Any:
 
     A mesh, a recording, a phantom (meshed with its default edge length) and a reconstruction are an
     `UnstructuredGrid`: `youngs_mpa`, `truth_mpa` and `region` for each element, and the
-    `displacement_0_mm` and `force_0_n` of each press for each node. Shapes and the lumps of a
-    finding are a `MultiBlock` of closed surfaces with their `youngs_mpa`; regions of a map are
-    grids of their elements.
+    `displacement_0_mm` and `force_0_n` of each press for each node. The
+    inclusions of a `ShapeReconstruction` are a `MultiBlock` of closed surfaces with their
+    `youngs_mpa`.
 
     Raises:
         ConfigError: PyVista is not installed.

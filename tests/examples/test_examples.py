@@ -83,11 +83,11 @@ def test_gradient(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.slow
 def test_find_ball(capsys: pytest.CaptureFixture[str]) -> None:
     found = run("find_ball", capsys)
-    assert found["off_mm"] < 0.3
-    assert found["radius_mm"] == pytest.approx(2.2, abs=0.4)
-    assert 2.5 < found["contrast"] < 6.5
-    assert found["pearson"] > 0.92
-    assert 0.4 < found["chi2"] <= 1.02
+    assert found["off_mm"] < 0.1
+    assert found["radius_mm"] == pytest.approx(2.2, abs=0.2)
+    assert 3.5 < found["contrast"] < 6.5
+    assert found["pearson"] > 0.95
+    assert 0.8 < found["chi2"] < 1.2
 
 
 @pytest.fixture

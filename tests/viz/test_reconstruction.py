@@ -68,6 +68,8 @@ def test_element_map_and_truth_are_rows(shapes):
     panels = [axes for axes in figure.axes if axes.images]
     labels = [axes.get_ylabel().split("\n")[0] for axes in panels[::3]]
     assert labels == ["inclusions", "element map", "truth by element"]
+    below = [axes.get_xlabel() for axes in panels]
+    assert below == 6 * [""] + ["y (mm)", "x (mm)", "x (mm)"]
     assert float(panels[3].images[0].get_array().max()) == pytest.approx(0.3)
     assert float(panels[6].images[0].get_array().min()) == pytest.approx(0.4)
 
