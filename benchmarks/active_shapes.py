@@ -35,10 +35,11 @@ from true_cases import OBJECTS, PRESSES, Body, Case, Contact, Presses, Truth, ma
 
 from tactorch.errors import TactorchError
 from tactorch.inverse import InverseProblem, Settings, find_shapes
+from tactorch.inverse.errors.kept import KeptRims
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
-from tactorch.inverse.shapes import KeptRims, ShapeReconstruction
-from tactorch.inverse.shapes.model import as_judged
-from tactorch.inverse.shapes.posterior import ShapePosterior
+from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.result.shapes import ShapeReconstruction
+from tactorch.inverse.search.model import as_judged
 from tactorch.mesh import Box, Sphere
 from tactorch.mesh.geometry import farthest_point_order
 from tactorch.phantoms import Phantom

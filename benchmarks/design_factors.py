@@ -29,9 +29,9 @@ from machine import OtherWork, describe_machine, map_in_processes
 
 from tactorch.inverse import Settings, invert_map
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior, Sites
-from tactorch.inverse.problem import InverseProblem
-from tactorch.inverse.shapes import find_shapes
-from tactorch.inverse.shapes.fit import ShapesOnSites
+from tactorch.inverse.fit.shapes import ShapesOnSites
+from tactorch.inverse.forward.problem import InverseProblem
+from tactorch.inverse.search import find_shapes
 from tactorch.mesh import Sphere
 from tactorch.mesh.quadrature import element_means
 from tactorch.metrics import scores

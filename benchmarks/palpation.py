@@ -32,9 +32,9 @@ from tactorch.fem.contact.pressures import ball_force
 from tactorch.fem.indentation import BallPlace, Indentation
 from tactorch.importers import import_palpation
 from tactorch.inverse import Settings, invert_map
-from tactorch.inverse.palpation import PALPATION_ELEMENT
-from tactorch.inverse.problem import make_body
-from tactorch.inverse.starts import homogeneous
+from tactorch.inverse.fit.starts import homogeneous
+from tactorch.inverse.forward.palpation import PALPATION_ELEMENT
+from tactorch.inverse.forward.problem import make_body
 from tactorch.mesh.closest import closest_points
 from tactorch.recording import Recording
 

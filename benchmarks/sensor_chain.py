@@ -35,7 +35,7 @@ from scipy.spatial.transform import Rotation
 from sensor_truth import Ball, Contact, PressedBox, press_box
 
 from tactorch.inverse import Reconstruction
-from tactorch.inverse.shapes import ShapeInclusion
+from tactorch.inverse.result.shapes import ShapeInclusion
 from tactorch.recording import Press, Recording
 from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.chain import ChainOptions, SensorChain

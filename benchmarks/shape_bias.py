@@ -28,11 +28,11 @@ import numpy as np
 from machine import OtherWork, map_in_processes, write_results
 from true_cases import CASES, RANDOM_CASES, Case, make_recording, random_cases
 
-from tactorch.inverse.data import DataModel
+from tactorch.inverse.data.observations import DataModel
 from tactorch.inverse.fields import BALL, CENTER, ELLIPSOID, SIZE, ShapeField, ShapePrior
-from tactorch.inverse.problem import InverseProblem
-from tactorch.inverse.shapes.correction import Correction
-from tactorch.inverse.shapes.fit import fit_shapes
+from tactorch.inverse.fit.shapes import fit_shapes
+from tactorch.inverse.forward.problem import InverseProblem
+from tactorch.inverse.search.correction import Correction
 from tactorch.mesh import Ellipsoid, Rotated, Sphere
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")

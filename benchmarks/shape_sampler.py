@@ -27,7 +27,7 @@ from machine import OtherWork, map_in_processes, write_results
 from true_cases import Case, make_recording, random_cases
 
 from tactorch.inverse import find_shapes
-from tactorch.inverse.shapes.result import InclusionValues
+from tactorch.inverse.result.shapes import InclusionValues
 from tactorch.mesh import Ellipsoid, Rotated, Sphere
 from tactorch.uncertainty import ShapeSamples, sample_shapes
 from tactorch.uncertainty.importance import weighted_quantile

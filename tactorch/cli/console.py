@@ -21,7 +21,7 @@ from tactorch.text import printable
 #: Exit statuses other than 0: of wrong input, and of Ctrl-C.
 WRONG, INTERRUPTED = 2, 130
 _NO_CONTROL = ("", "dumb", "unknown")  # TERM of terminals that know no control codes
-_STEPS = ("tactorch.inverse.monitor", "tactorch.inverse.shapes")  # loggers
+_STEPS = ("tactorch.inverse.fit.monitor", "tactorch.inverse.search")  # loggers
 _LINES = 10  # of progress in a log
 
 log = logging.getLogger("tactorch")

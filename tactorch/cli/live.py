@@ -30,7 +30,7 @@ from tactorch.cli.settings import CommandOptions, UnitCheck, run_folder, select
 from tactorch.config import option
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.inverse import Settings, Start, homogeneous
-from tactorch.inverse.starts import START_MPA, Uniform
+from tactorch.inverse.fit.starts import START_MPA, Uniform
 from tactorch.recording import Recording
 from tactorch.report.live import PAGE
 from tactorch.robot import PRESSERS, StopRule, press_until_known  # noqa: F401

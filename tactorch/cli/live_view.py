@@ -203,7 +203,7 @@ def finding_text(update: Update) -> str:
 
 def _is_event(record: logging.LogRecord) -> bool:
     """Return whether a log record is other than a step of an inversion or a search for shapes."""
-    is_step = record.name.startswith("tactorch.inverse.shapes") and record.levelno <= logging.INFO
+    is_step = record.name.startswith("tactorch.inverse.search") and record.levelno <= logging.INFO
     return is_no_iteration(record) and not is_step
 
 

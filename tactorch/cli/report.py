@@ -19,7 +19,7 @@ from tactorch.cli.resume import saved_options
 from tactorch.cli.settings import CommandOptions, UnitCheck, make_start
 from tactorch.config import option, to_mapping
 from tactorch.errors import ConfigError, TactorchError
-from tactorch.inverse.settings import has_all_settings
+from tactorch.inverse.fit.settings import has_all_settings
 from tactorch.report import Run, load_run, run_names, runs_in, write_report
 
 

@@ -8,7 +8,7 @@ from hydra.core.hydra_config import HydraConfig
 
 from tactorch.config import Options, option, settings_of, to_mapping
 from tactorch.inverse import Settings, Start, homogeneous
-from tactorch.inverse.starts import Uniform
+from tactorch.inverse.fit.starts import Uniform
 from tactorch.recording import MaterialSpec, Recording
 
 T = TypeVar("T", bound=Options)

@@ -141,7 +141,7 @@ class Recipe(Options):
 
     `material` has no Young's modulus. `inversion` are the settings of the inversion of each
     recording; "linear" stores the linear image in place of a reconstruction (see
-    `tactorch.inverse.linear_image`), None nothing.
+    `tactorch.inverse.fit.linear_image`), None nothing.
     """
 
     section: ClassVar[str] = "dataset"

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from tactorch.generation.recipe import Recipe
 from tactorch.inverse import invert_map
-from tactorch.inverse.linear_image import linear_map
+from tactorch.inverse.fit.linear_image import linear_map
 from tactorch.metrics import scores
 from tactorch.phantoms import Phantom
 from tactorch.recording import MaterialSpec, Recording

@@ -1,18 +1,9 @@
 """From presses to a map of Young's modulus: data, prior and optimizer, combined freely."""
 
-from tactorch.inverse.data import NoiseModel
-from tactorch.inverse.incremental import IncrementalInversion, IncrementalResult
-from tactorch.inverse.invert import invert, invert_map, make_objective
-from tactorch.inverse.misfit import MISFITS, Misfit
-from tactorch.inverse.monitor import Monitor, StopReason
-from tactorch.inverse.nuisance import Nuisance, NuisanceEstimate, NuisancePrior
-from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers.base import OPTIMIZERS, Optimizer
-from tactorch.inverse.optimizers.gauss_newton import GaussNewton
-from tactorch.inverse.optimizers.newton_cg import NewtonCG
-from tactorch.inverse.optimizers.scipy_methods import LBFGS, TNC
-from tactorch.inverse.palpation import PalpationProblem, is_palpation
-from tactorch.inverse.parameterization import (
+from tactorch.inverse.data.misfit import MISFITS, Misfit
+from tactorch.inverse.data.nuisance import Nuisance, NuisanceEstimate, NuisancePrior
+from tactorch.inverse.data.observations import NoiseModel
+from tactorch.inverse.fields.parameterization import (
     PARAMETERIZATIONS,
     Bounds,
     Identity,
@@ -20,15 +11,46 @@ from tactorch.inverse.parameterization import (
     Parameterization,
     Scaled,
 )
-from tactorch.inverse.problem import Evaluation, InverseProblem
-from tactorch.inverse.regularization.base import PRIORS, NoPrior, Prior, Quadratic, Regularizer
-from tactorch.inverse.regularization.combined import Composite, CompositePenalty, ShiftedPrior
-from tactorch.inverse.regularization.gaussian import Matern, Smoothness, Tikhonov
-from tactorch.inverse.regularization.sharp import BinaryWell, LogJumps, Sparsity, TotalVariation
+from tactorch.inverse.fields.regularization.base import (
+    PRIORS,
+    NoPrior,
+    Prior,
+    Quadratic,
+    Regularizer,
+)
+from tactorch.inverse.fields.regularization.combined import (
+    Composite,
+    CompositePenalty,
+    ShiftedPrior,
+)
+from tactorch.inverse.fields.regularization.gaussian import Matern, Smoothness, Tikhonov
+from tactorch.inverse.fields.regularization.sharp import (
+    BinaryWell,
+    LogJumps,
+    Sparsity,
+    TotalVariation,
+)
+from tactorch.inverse.fit.monitor import Monitor, StopReason
+from tactorch.inverse.fit.objective import Objective, Point
+from tactorch.inverse.fit.optimizers.base import OPTIMIZERS, Optimizer
+from tactorch.inverse.fit.optimizers.gauss_newton import GaussNewton
+from tactorch.inverse.fit.optimizers.newton_cg import NewtonCG
+from tactorch.inverse.fit.optimizers.scipy_methods import LBFGS, TNC
+from tactorch.inverse.fit.settings import Settings, settings_from
+from tactorch.inverse.fit.starts import (
+    INITIALIZATIONS,
+    Start,
+    best_uniform,
+    homogeneous,
+    monte_carlo,
+)
+from tactorch.inverse.forward.palpation import PalpationProblem, is_palpation
+from tactorch.inverse.forward.problem import Evaluation, InverseProblem
+from tactorch.inverse.incremental import IncrementalInversion, IncrementalResult
+from tactorch.inverse.invert import invert, invert_map, make_objective
 from tactorch.inverse.result import Lump, Reconstruction, Status, find_lump, find_lumps
-from tactorch.inverse.settings import Settings, settings_from
-from tactorch.inverse.shapes import ShapeInclusion, ShapeReconstruction, find_shapes
-from tactorch.inverse.starts import INITIALIZATIONS, Start, best_uniform, homogeneous, monte_carlo
+from tactorch.inverse.result.shapes import ShapeInclusion, ShapeReconstruction
+from tactorch.inverse.search import find_shapes
 
 __all__ = [
     "INITIALIZATIONS",

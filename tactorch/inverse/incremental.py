@@ -17,17 +17,17 @@ from jaxtyping import Float
 
 from tactorch.errors import ConfigError, ConvergenceError, RecordingError
 from tactorch.inverse.errors.discretisation import ModelError
+from tactorch.inverse.fit.monitor import Monitor, StopCondition, StopReason
+from tactorch.inverse.fit.objective import Point
+from tactorch.inverse.fit.optimizers.base import OPTIMIZERS
+from tactorch.inverse.fit.optimizers.damped import DampedNewton
+from tactorch.inverse.fit.optimizers.schedule import warm_start_state
+from tactorch.inverse.fit.settings import Settings
+from tactorch.inverse.fit.starts import START_MPA, Start, homogeneous, start_map
+from tactorch.inverse.forward.problem import InverseProblem
 from tactorch.inverse.invert import ObjectiveBuilder, warn_of_assumed_noise
-from tactorch.inverse.monitor import Monitor, StopCondition, StopReason
-from tactorch.inverse.objective import Point
-from tactorch.inverse.optimizers.base import OPTIMIZERS
-from tactorch.inverse.optimizers.damped import DampedNewton
-from tactorch.inverse.optimizers.schedule import warm_start_state
-from tactorch.inverse.problem import InverseProblem
 from tactorch.inverse.result.build import of_elements
 from tactorch.inverse.result.reconstruction import Reconstruction
-from tactorch.inverse.settings import Settings
-from tactorch.inverse.starts import START_MPA, Start, homogeneous, start_map
 from tactorch.recording import Press, Recording
 
 _WEIGHT = ("weight", "first_weight", "ended")

@@ -13,8 +13,8 @@ import numpy as np
 from tactorch.config import to_mapping
 from tactorch.errors import CancelledError, ConfigError, TactorchError
 from tactorch.fem import SoftBody
-from tactorch.inverse.criticism import wrong_forces
-from tactorch.inverse.data import NoiseModel
+from tactorch.inverse.data.misfit import MISFITS, Adaptive, Squares
+from tactorch.inverse.data.observations import NoiseModel
 from tactorch.inverse.errors import ERRORS, ErrorModel, MeasuredPresses
 from tactorch.inverse.errors.discretisation import (
     RESIDUAL_MODEL_ERROR,
@@ -24,25 +24,25 @@ from tactorch.inverse.errors.discretisation import (
     resolve_model_error,
 )
 from tactorch.inverse.fields import ElementField
-from tactorch.inverse.held_out import held_out_score
-from tactorch.inverse.misfit import MISFITS, Adaptive, Squares
-from tactorch.inverse.monitor import Monitor, StopReason, progress_text
-from tactorch.inverse.objective import Objective, Point
-from tactorch.inverse.optimizers.base import OPTIMIZERS
-from tactorch.inverse.optimizers.gauss_newton import GaussNewton
-from tactorch.inverse.palpation import (
+from tactorch.inverse.fit.monitor import Monitor, StopReason, progress_text
+from tactorch.inverse.fit.objective import Objective, Point
+from tactorch.inverse.fit.optimizers.base import OPTIMIZERS
+from tactorch.inverse.fit.optimizers.gauss_newton import GaussNewton
+from tactorch.inverse.fit.settings import Settings
+from tactorch.inverse.fit.starts import START_MPA, Start, start_map, uniform_fit
+from tactorch.inverse.forward.palpation import (
     PALPATION_ELEMENT,
     PalpationProblem,
     contacts_of,
     is_palpation,
 )
-from tactorch.inverse.problem import InverseProblem, make_body
+from tactorch.inverse.forward.problem import InverseProblem, make_body
 from tactorch.inverse.result.build import config_of, of_elements, of_inclusions
 from tactorch.inverse.result.reconstruction import Reconstruction
-from tactorch.inverse.settings import Settings
-from tactorch.inverse.shapes.model import MIN_GAIN
-from tactorch.inverse.shapes.search import find_shapes
-from tactorch.inverse.starts import START_MPA, Start, start_map, uniform_fit
+from tactorch.inverse.search.criticism import wrong_forces
+from tactorch.inverse.search.held_out import held_out_score
+from tactorch.inverse.search.model import MIN_GAIN
+from tactorch.inverse.search.search import find_shapes
 from tactorch.linalg import DenseCholesky
 from tactorch.progress import progress_line
 from tactorch.recording import Recording
@@ -75,8 +75,8 @@ def invert(
     by one modulus per element, an element map (`invert_map`, eq. 8). With `settings.method` "auto"
     the element map is computed only where inclusions do not explain the presses or cannot be fitted
     to them. Where both are computed, the one is returned that predicts the presses of a contact
-    better from those of the others (`tactorch.inverse.held_out`), the inclusions where both predict
-    them equally; the other one is the result's `other`.
+    better from those of the others (`tactorch.inverse.search.held_out`), the inclusions where both
+    predict them equally; the other one is the result's `other`.
 
     The truth and the reference that a recording may carry are never read.
 
@@ -224,7 +224,7 @@ def invert_map(
         recording: Presses on an object.
         settings: How to invert; Gauss-Newton on log-moduli with total variation by default.
         start_mpa: Start, one modulus for all elements or one each, MPa; or a function of the
-            problem and the bounds that returns one: see `tactorch.inverse.starts`.
+            problem and the bounds that returns one: see `tactorch.inverse.fit.starts`.
         checkpoint: File to save the state to every few seconds.
         resume: Checkpoint to continue from.
         show_progress: Whether to show a line of progress; see `tactorch.progress.progress_line`.

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from tactorch.inverse import Point, settings_from
-from tactorch.inverse.data import Observation
+from tactorch.inverse.data.observations import Observation
+from tactorch.inverse.forward.predictions import observed_data
 from tactorch.inverse.invert import solution
-from tactorch.inverse.predictions import observed_data
 from tactorch.inverse.result import LEVEL
 from tactorch.recording import Recording
 from tactorch.report.content import PressFit, RunReport, UncertaintySummary

@@ -10,7 +10,7 @@ import numpy as np
 from tactorch.errors import ConfigError, FileError, RecordingError, RobotError
 from tactorch.files import read_json, write_json
 from tactorch.inverse import Settings
-from tactorch.inverse.shapes.draft import DraftOptions, DraftShapes
+from tactorch.inverse.search.draft import DraftOptions, DraftShapes
 from tactorch.recording import Recording, append_press
 from tactorch.robot.presser import RobotPresser
 from tactorch.robot.stop import StopRule
@@ -220,7 +220,7 @@ def press_until_known(
     """Press with a robot until the stop rule is met; a run in the same folder is continued.
 
     After each press the map is updated and balls are fitted, see
-    `tactorch.inverse.shapes.draft`. The run also ends after `options.max_presses`, when no
+    `tactorch.inverse.search.draft`. The run also ends after `options.max_presses`, when no
     candidate is left, or after several failures of the robot one after the other.
 
     Args:

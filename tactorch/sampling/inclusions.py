@@ -8,9 +8,10 @@ from typing import Any
 from tactorch.errors import CancelledError, FileError, TactorchError
 from tactorch.files import read_json, write_json
 from tactorch.inverse import Reconstruction, Settings, ShapeReconstruction, invert
+from tactorch.inverse.errors.kept import KeptRims
 from tactorch.inverse.result.build import config_of, of_inclusions
-from tactorch.inverse.shapes import KeptRims, ShapeState
-from tactorch.inverse.shapes.draft import DraftShapes
+from tactorch.inverse.result.shapes import ShapeState
+from tactorch.inverse.search.draft import DraftShapes
 from tactorch.recording import Recording
 
 SHAPES = "shapes.json"  # the inclusions that were fitted last, and to how many presses
@@ -105,7 +106,7 @@ class InclusionSearch:
 
 
 class DraftInclusionSearch(InclusionSearch):
-    """The same by the fast search for balls, `tactorch.inverse.shapes.draft`.
+    """The same by the fast search for balls, `tactorch.inverse.search.draft`.
 
     Args:
         settings: Settings of the inversions.

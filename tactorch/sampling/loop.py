@@ -28,7 +28,7 @@ from tactorch.inverse import (
     Start,
     StopReason,
 )
-from tactorch.inverse.starts import START_MPA
+from tactorch.inverse.fit.starts import START_MPA
 from tactorch.recording import Recording
 from tactorch.sampling.inclusions import InclusionSearch
 from tactorch.sampling.sources import Arrival, PressSource

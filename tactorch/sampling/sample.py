@@ -13,7 +13,7 @@ from tactorch.errors import ConfigError
 from tactorch.fem import SoftBody, Supports
 from tactorch.fem.transfer import Transfer
 from tactorch.inverse import Settings
-from tactorch.inverse.starts import START_MPA
+from tactorch.inverse.fit.starts import START_MPA
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.recording.append import digest

@@ -17,8 +17,8 @@ from scipy.special import ndtr
 
 from tactorch.errors import ConfigError
 from tactorch.inverse.fields import CENTER, ShapeField, Sites
-from tactorch.inverse.shapes import ShapeReconstruction
-from tactorch.inverse.shapes.matched import Balls
+from tactorch.inverse.result.shapes import ShapeReconstruction
+from tactorch.inverse.search.matched import Balls
 from tactorch.mesh import TetMesh
 from tactorch.mesh.quadrature import lattice
 from tactorch.sampling.rules import Jacobian, Rule, SamplingState

@@ -11,9 +11,9 @@ from jaxtyping import Float
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, ConvergenceError, RecordingError
 from tactorch.inverse import InverseProblem, Point, Settings, ShapeReconstruction
-from tactorch.inverse.data import CorrelatedNoise
+from tactorch.inverse.data.observations import CorrelatedNoise
 from tactorch.inverse.errors.discretisation import smooth_pattern
-from tactorch.inverse.posterior import GaussianPosterior
+from tactorch.inverse.posterior.gaussian import GaussianPosterior
 from tactorch.recording import Press, Recording
 from tactorch.sampling.candidates import Candidates, InferredCandidates, Patch
 from tactorch.sampling.rules import RULES, Automatic, Jacobian, Rule, SamplingState

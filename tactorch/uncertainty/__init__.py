@@ -5,7 +5,7 @@
 intervals of `find_shapes` by samples.
 """
 
-from tactorch.inverse.posterior import GaussianPosterior
+from tactorch.inverse.posterior.gaussian import GaussianPosterior
 from tactorch.uncertainty.coverage import Coverage, calibration_curve, calibration_error, coverage
 from tactorch.uncertainty.gaussian_state import GaussianState
 from tactorch.uncertainty.laplace import LaplacePosterior

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError
-from tactorch.inverse.posterior import normal_quantile
+from tactorch.inverse.posterior.gaussian import normal_quantile
 
 # Truth, mean and standard deviation of each element, in the posterior's parameter.
 Estimate = tuple[np.ndarray, np.ndarray, np.ndarray]

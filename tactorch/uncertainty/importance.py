@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float
 from scipy.special import gammaln, logsumexp, softmax
 
 from tactorch.errors import ConvergenceError
-from tactorch.inverse.shapes.posterior import Normal
+from tactorch.inverse.posterior.shapes import Normal
 
 _DEGREES = 5.0  # of freedom of the proposals: tails that are heavier than normal ones
 _FITTED = 2  # proposals that are fitted to the draws before, one after the other

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Parameterization, Point
-from tactorch.inverse.posterior import GaussianPosterior
+from tactorch.inverse.posterior.gaussian import GaussianPosterior
 from tactorch.linalg import DenseCholesky
 
 Field = Float[np.ndarray, " m"]  # a value per element

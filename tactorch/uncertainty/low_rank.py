@@ -24,7 +24,7 @@ from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Parameterization, Point
-from tactorch.inverse.posterior import Field, GaussianPosterior
+from tactorch.inverse.posterior.gaussian import Field, GaussianPosterior
 from tactorch.linalg.superlu import SparseFactor
 from tactorch.uncertainty.laplace import check_weight
 

@@ -3,7 +3,7 @@
 from tactorch.errors import TactorchError
 from tactorch.inverse import Point, Reconstruction, Settings
 from tactorch.inverse.invert import solution
-from tactorch.inverse.posterior import GaussianPosterior
+from tactorch.inverse.posterior.gaussian import GaussianPosterior
 from tactorch.recording import Recording
 from tactorch.uncertainty.laplace import LaplacePosterior
 from tactorch.uncertainty.low_rank import LowRankPosterior

@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.inverse import Evaluation
-from tactorch.inverse.posterior import Field
+from tactorch.inverse.posterior.gaussian import Field
 from tactorch.mesh import TetMesh
 from tactorch.mesh.quadrature import lattice
 

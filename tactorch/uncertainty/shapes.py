@@ -22,15 +22,14 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse.fields import ShapeField
-from tactorch.inverse.problem import Evaluation, InverseProblem
-from tactorch.inverse.settings import Settings
-from tactorch.inverse.shapes import Interval, ShapeReconstruction
-from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
-from tactorch.inverse.shapes.model import Model
-from tactorch.inverse.shapes.posterior import Normal, ShapePosterior
-from tactorch.inverse.shapes.problem import ShapeProblem, is_same_model
-from tactorch.inverse.shapes.result import InclusionValues
-from tactorch.inverse.shapes.sizing import refined_at_contacts
+from tactorch.inverse.fit.settings import Settings
+from tactorch.inverse.fit.shapes import ShapesOnSites, fit_shapes
+from tactorch.inverse.forward.problem import Evaluation, InverseProblem
+from tactorch.inverse.posterior.shapes import Normal, ShapePosterior
+from tactorch.inverse.result.shapes import InclusionValues, Interval, ShapeReconstruction
+from tactorch.inverse.search.model import Model
+from tactorch.inverse.search.problem import ShapeProblem, is_same_model
+from tactorch.inverse.search.sizing import refined_at_contacts
 from tactorch.progress import progress_line
 from tactorch.recording import Recording
 from tactorch.uncertainty.importance import (

@@ -28,7 +28,7 @@ from scipy.sparse.csgraph import connected_components
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Point
-from tactorch.inverse.regularization.base import jumps, relative
+from tactorch.inverse.fields.regularization.base import jumps, relative
 from tactorch.linalg import DenseCholesky
 from tactorch.uncertainty.laplace import LaplacePosterior
 

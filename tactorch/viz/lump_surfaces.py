@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from skimage.measure import marching_cubes
 
 from tactorch.inverse import ShapeReconstruction
-from tactorch.inverse.shapes import InclusionShape
+from tactorch.inverse.fields import InclusionShape
 
 _POINTS = 40  # of the grid along its longest side
 _DRAWS = 100  # of the posterior

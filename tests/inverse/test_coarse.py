@@ -18,7 +18,7 @@ from tactorch.inverse import (
     invert_map,
 )
 from tactorch.inverse.fields import ElementField
-from tactorch.inverse.starts import CoarseStart, clusters
+from tactorch.inverse.fit.starts import CoarseStart, clusters
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.recording import Recording
 

@@ -11,8 +11,8 @@ from tactorch.fem.elements import ELEMENTS
 from tactorch.inverse import Settings, find_shapes
 from tactorch.inverse.errors import MeasuredPresses
 from tactorch.inverse.errors.shift import ContactShift, shifted_forces
-from tactorch.inverse.problem import InverseProblem
-from tactorch.inverse.shapes.problem import ShapeProblem
+from tactorch.inverse.forward.problem import InverseProblem
+from tactorch.inverse.search.problem import ShapeProblem
 from tactorch.mesh import box_mesh
 from tactorch.mesh.tractions import LoadedSurface
 from tactorch.phantoms import make_phantom

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactorch.inverse import InverseProblem
-from tactorch.inverse.data import CorrelatedNoise
+from tactorch.inverse.data.observations import CorrelatedNoise
 from tactorch.recording import Recording
 
 

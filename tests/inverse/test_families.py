@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from tactorch.inverse.data import NoiseModel
+from tactorch.inverse.data.observations import NoiseModel
 from tactorch.inverse.fields import (
     BALL,
     ELLIPSOID,
@@ -18,11 +18,11 @@ from tactorch.inverse.fields import (
 from tactorch.inverse.fields.cuboid import CUBOID
 from tactorch.inverse.fields.family import families_beyond
 from tactorch.inverse.fields.inclusion import Parameters
-from tactorch.inverse.problem import InverseProblem
-from tactorch.inverse.shapes import ShapeReconstruction
-from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
-from tactorch.inverse.shapes.model import as_judged, with_family
-from tactorch.inverse.shapes.posterior import ShapePosterior
+from tactorch.inverse.fit.shapes import ShapesOnSites, fit_shapes
+from tactorch.inverse.forward.problem import InverseProblem
+from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.result.shapes import ShapeReconstruction
+from tactorch.inverse.search.model import as_judged, with_family
 from tactorch.mesh import Box, box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.simulation import PressPlan, simulate

@@ -18,7 +18,7 @@ from tactorch.inverse import (
     StopReason,
     invert_map,
 )
-from tactorch.inverse.optimizers.schedule import warm_start_state
+from tactorch.inverse.fit.optimizers.schedule import warm_start_state
 from tactorch.mesh import box_mesh
 from tactorch.metrics import scores
 from tactorch.phantoms import make_phantom

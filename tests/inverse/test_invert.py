@@ -24,10 +24,10 @@ from tactorch.inverse import (
     StopReason,
     invert_map,
 )
+from tactorch.inverse.data.misfit import Huber
+from tactorch.inverse.fit.monitor import progress_text
+from tactorch.inverse.fit.starts import START_MPA
 from tactorch.inverse.invert import _task_digest
-from tactorch.inverse.misfit import Huber
-from tactorch.inverse.monitor import progress_text
-from tactorch.inverse.starts import START_MPA
 from tactorch.recording import Recording
 
 SHORT = Settings(optimizer=GaussNewton(max_iterations=3))

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tactorch.inverse import InverseProblem
-from tactorch.inverse.linear_image import _prior_precision, linear_image, linear_map
+from tactorch.inverse.fit.linear_image import _prior_precision, linear_image, linear_map
 from tactorch.mesh import VoxelGrid, box_mesh
 from tactorch.recording import Recording
 

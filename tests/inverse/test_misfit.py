@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import MISFITS, InverseProblem, Settings, invert_map, make_objective
-from tactorch.inverse.misfit import Adaptive, Huber
+from tactorch.inverse.data.misfit import Adaptive, Huber
 from tactorch.recording import Recording
 
 BEGINS = np.array([0, 7, 12])

@@ -19,7 +19,7 @@ from tactorch.inverse import (
     invert_map,
     make_objective,
 )
-from tactorch.inverse.monitor import StopOptimization, describe
+from tactorch.inverse.fit.monitor import StopOptimization, describe
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
@@ -220,7 +220,7 @@ def test_a_failed_write_leaves_the_former_checkpoint(
 def test_checkpoints_are_written_on_the_way(
     noisy: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import tactorch.inverse.monitor as module
+    import tactorch.inverse.fit.monitor as module
 
     monkeypatch.setattr(module, "_CHECKPOINT_PERIOD", 0.0)
     saved: list[int] = []

@@ -20,9 +20,9 @@ from tactorch.inverse import (
     invert_map,
     make_objective,
 )
-from tactorch.inverse.optimizers.damped import PriorSolver
-from tactorch.inverse.optimizers.newton_cg import data_trace
-from tactorch.inverse.optimizers.schedule import RegularizationSchedule
+from tactorch.inverse.fit.optimizers.damped import PriorSolver
+from tactorch.inverse.fit.optimizers.newton_cg import data_trace
+from tactorch.inverse.fit.optimizers.schedule import RegularizationSchedule
 from tactorch.recording import Recording
 
 Make = Callable[..., Recording]

@@ -5,8 +5,8 @@ import pytest
 import scipy.sparse as sp
 
 from tactorch.inverse import PRIORS, Settings, make_objective
-from tactorch.inverse.optimizers import gauss_newton
-from tactorch.inverse.optimizers.gauss_newton import data_space_step, parameter_space_step
+from tactorch.inverse.fit.optimizers import gauss_newton
+from tactorch.inverse.fit.optimizers.gauss_newton import data_space_step, parameter_space_step
 from tactorch.recording import Recording
 
 

@@ -20,7 +20,7 @@ from tactorch.inverse import (
     invert_map,
     make_objective,
 )
-from tactorch.inverse.starts import uniform_fit
+from tactorch.inverse.fit.starts import uniform_fit
 from tactorch.recording import Recording
 from tactorch.simulation import perturb_recording
 

@@ -25,7 +25,7 @@ from tactorch.inverse import (
     invert_map,
     make_objective,
 )
-from tactorch.inverse.optimizers.damped import projected_gradient
+from tactorch.inverse.fit.optimizers.damped import projected_gradient
 from tactorch.metrics import pearson
 from tactorch.recording import Recording
 

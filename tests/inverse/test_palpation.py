@@ -11,14 +11,14 @@ from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.fem.contact import Ball
 from tactorch.fem.indentation import BallPlace, Indentation
 from tactorch.inverse import NuisancePrior, Settings, find_shapes, invert_map
-from tactorch.inverse.data import CorrelatedNoise
-from tactorch.inverse.palpation import (
+from tactorch.inverse.data.observations import CorrelatedNoise
+from tactorch.inverse.fit.starts import homogeneous
+from tactorch.inverse.forward.palpation import (
     PalpationProblem,
     PlaceErrors,
     group_places,
     is_palpation,
 )
-from tactorch.inverse.starts import homogeneous
 from tactorch.mesh import TetMesh, box_mesh, face_nodes
 from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Recording
 

@@ -9,7 +9,7 @@ from tactorch.inverse import InverseProblem, Settings
 from tactorch.inverse.errors import MeasuredPresses
 from tactorch.inverse.errors.stated import Stated
 from tactorch.inverse.invert import make_objective
-from tactorch.inverse.shapes import find_shapes
+from tactorch.inverse.search import find_shapes
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Press, PressErrors, Recording

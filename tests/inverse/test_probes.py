@@ -9,14 +9,14 @@ from tactorch.errors import ConfigError
 from tactorch.fem import NewtonOptions
 from tactorch.fem.contact import Ball, FlatPunch
 from tactorch.inverse import IncrementalInversion, InverseProblem, NoiseModel, find_shapes
-from tactorch.inverse.data import Observation, group_by_contact
+from tactorch.inverse.data.nuisance import NuisancePrior
+from tactorch.inverse.data.observations import Observation, group_by_contact
 from tactorch.inverse.errors import MeasuredPresses
 from tactorch.inverse.errors.forces import Forces
 from tactorch.inverse.errors.pose import Pose
 from tactorch.inverse.fields import FAMILIES, ShapeField, ShapePrior, Sites
-from tactorch.inverse.footprint import Footprint, largest_depth, loaded_nodes
-from tactorch.inverse.nuisance import NuisancePrior
-from tactorch.inverse.starts import uniform_fit
+from tactorch.inverse.fit.starts import uniform_fit
+from tactorch.inverse.forward.footprint import Footprint, largest_depth, loaded_nodes
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.recording import (
     ForceReading,

@@ -10,7 +10,7 @@ import torch
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import ELEMENTS, SoftBody, Supports, make_material
 from tactorch.inverse import Evaluation, InverseProblem, NoiseModel
-from tactorch.inverse.data import DataModel, Observation, group_by_contact, signal_rms
+from tactorch.inverse.data.observations import DataModel, Observation, group_by_contact, signal_rms
 from tactorch.inverse.errors import MeasuredPresses
 from tactorch.inverse.errors.forces import Forces
 from tactorch.inverse.errors.pose import RigidMotion

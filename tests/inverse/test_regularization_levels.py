@@ -19,7 +19,7 @@ from tactorch.inverse import (
     Tikhonov,
     monte_carlo,
 )
-from tactorch.inverse.regularization.sharp import smoothed_median, two_levels
+from tactorch.inverse.fields.regularization.sharp import smoothed_median, two_levels
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.metrics.segment import weighted_median
 from tactorch.recording import Recording

@@ -14,20 +14,22 @@ from tactorch.inverse.fields import (
     BALL,
     ELLIPSOID,
     Background,
+    InclusionShape,
     ShapeField,
     ShapePrior,
     Sites,
 )
 from tactorch.inverse.fields.inclusion import Parameters
 from tactorch.inverse.fields.sites import samples_around
-from tactorch.inverse.objective import Objective
-from tactorch.inverse.problem import InverseProblem
-from tactorch.inverse.settings import Settings
-from tactorch.inverse.shapes import InclusionShape, ShapeReconstruction, ShapeState, find_shapes
-from tactorch.inverse.shapes import fit as shape_fit
-from tactorch.inverse.shapes.correction import Correction, _LoadSeries
-from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
-from tactorch.inverse.shapes.model import (
+from tactorch.inverse.fit import shapes as shape_fit
+from tactorch.inverse.fit.objective import Objective
+from tactorch.inverse.fit.settings import Settings
+from tactorch.inverse.fit.shapes import ShapesOnSites, fit_shapes
+from tactorch.inverse.forward.problem import InverseProblem
+from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
+from tactorch.inverse.search import find_shapes
+from tactorch.inverse.search.correction import Correction, _LoadSeries
+from tactorch.inverse.search.model import (
     Model,
     Start,
     make_posterior,
@@ -35,9 +37,9 @@ from tactorch.inverse.shapes.model import (
     with_family,
     without,
 )
-from tactorch.inverse.shapes.problem import ShapeProblem
-from tactorch.inverse.shapes.search import _first
-from tactorch.inverse.shapes.sizing import (
+from tactorch.inverse.search.problem import ShapeProblem
+from tactorch.inverse.search.search import _first
+from tactorch.inverse.search.sizing import (
     Rim,
     contact_sizing,
     inclusion_sizing,

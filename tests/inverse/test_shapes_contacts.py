@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tactorch.inverse.fields import ShapeField, ShapePrior
-from tactorch.inverse.problem import InverseProblem
-from tactorch.inverse.shapes.correction import Correction
-from tactorch.inverse.shapes.fit import fit_shapes
+from tactorch.inverse.fit.shapes import fit_shapes
+from tactorch.inverse.forward.problem import InverseProblem
+from tactorch.inverse.search.correction import Correction
 from tactorch.mesh import TetMesh, box_mesh, face_nodes, refine
 from tactorch.recording import MaterialSpec, Press, Recording
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactorch.inverse.fields import BALL, ELLIPSOID, ShapeField, ShapePrior
-from tactorch.inverse.shapes.posterior import ShapePosterior
+from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.mesh import box_mesh
 
 PRIOR = ShapePrior.of(box_mesh(10.0, 3), 0.2)

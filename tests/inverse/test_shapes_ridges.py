@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior, strength
-from tactorch.inverse.shapes.posterior import ShapePosterior
-from tactorch.inverse.shapes.ridges import Ridge, RidgePoint, basis_across
+from tactorch.inverse.posterior.ridges import Ridge, RidgePoint, basis_across
+from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.mesh import box_mesh
 
 PRIOR = ShapePrior.of(box_mesh(10.0, 3), 0.2)

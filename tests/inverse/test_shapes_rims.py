@@ -19,15 +19,15 @@ from tactorch.inverse.errors.rims import (
     rim_edges,
 )
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
-from tactorch.inverse.problem import InverseProblem
-from tactorch.inverse.shapes.correction import Correction
-from tactorch.inverse.shapes.fit import fit_shapes
-from tactorch.inverse.shapes.model import (
+from tactorch.inverse.fit.shapes import fit_shapes
+from tactorch.inverse.forward.problem import InverseProblem
+from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
+from tactorch.inverse.search.correction import Correction
+from tactorch.inverse.search.model import (
     make_posterior,
 )
-from tactorch.inverse.shapes.problem import ShapeProblem
-from tactorch.inverse.shapes.result import ShapeReconstruction, ShapeState
-from tactorch.inverse.shapes.sizing import Rim
+from tactorch.inverse.search.problem import ShapeProblem
+from tactorch.inverse.search.sizing import Rim
 from tactorch.mesh import box_mesh
 from tactorch.mesh.tractions import LoadedSurface
 from tactorch.phantoms import make_phantom

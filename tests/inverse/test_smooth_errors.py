@@ -11,9 +11,9 @@ from tactorch.inverse.errors.smooth_forces import (
     smooth_error_patterns,
 )
 from tactorch.inverse.fields import BALL, ELLIPSOID, Candidate, ShapeField, ShapePrior
-from tactorch.inverse.shapes.fit import ShapeFit
-from tactorch.inverse.shapes.matched import Balls
-from tactorch.inverse.shapes.model import with_ball
+from tactorch.inverse.fit.shapes import ShapeFit
+from tactorch.inverse.search.matched import Balls
+from tactorch.inverse.search.model import with_ball
 from tactorch.mesh import box_mesh
 
 

@@ -17,7 +17,7 @@ from tactorch.inverse import (
     make_objective,
     monte_carlo,
 )
-from tactorch.inverse.starts import start_map
+from tactorch.inverse.fit.starts import start_map
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
 from tactorch.simulation import PressPlan, perturb_recording, simulate

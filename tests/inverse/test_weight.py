@@ -16,9 +16,9 @@ from tactorch.inverse import (
     invert_map,
     make_objective,
 )
-from tactorch.inverse.optimizers import schedule as rules
-from tactorch.inverse.optimizers.damped import DampedNewton
-from tactorch.inverse.optimizers.schedule import RegularizationSchedule
+from tactorch.inverse.fit.optimizers import schedule as rules
+from tactorch.inverse.fit.optimizers.damped import DampedNewton
+from tactorch.inverse.fit.optimizers.schedule import RegularizationSchedule
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
 

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import GaussNewton, Reconstruction, Settings, invert_map
-from tactorch.inverse.optimizers.spectrum import (
+from tactorch.inverse.fit.optimizers.spectrum import (
     RULES,
     Spectrum,
     gcv_score,

@@ -20,7 +20,7 @@ from tactorch.inverse import (
     homogeneous,
     invert_map,
 )
-from tactorch.inverse.starts import fits_better_than_uniform, uniform_fit
+from tactorch.inverse.fit.starts import fits_better_than_uniform, uniform_fit
 from tactorch.learning.data import AugmentedSamples
 from tactorch.learning.recognizer import Recognizer
 from tactorch.learning.surrogate import Prediction, SurrogateStart

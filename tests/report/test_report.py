@@ -24,7 +24,7 @@ from tactorch.inverse import (
     Settings,
     settings_from,
 )
-from tactorch.inverse.misfit import Huber
+from tactorch.inverse.data.misfit import Huber
 from tactorch.inverse.result.build import with_lumps
 from tactorch.inverse.result.text import Fact, describe_lump
 from tactorch.recording import Recording

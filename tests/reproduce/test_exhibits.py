@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, TactorchError
-from tactorch.inverse.shapes import InclusionShape, Interval, ShapeInclusion
+from tactorch.inverse.fields import InclusionShape
+from tactorch.inverse.result.shapes import Interval, ShapeInclusion
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.reproduce import EXHIBITS, depths, recognition, reproduce, sizes

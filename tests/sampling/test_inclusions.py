@@ -12,10 +12,11 @@ import pytest
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.files import read_arrays, write_arrays
 from tactorch.inverse import Settings, Status
+from tactorch.inverse.errors.kept import KeptRims
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
+from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.inverse.result.text import describe
-from tactorch.inverse.shapes import KeptRims, ShapeReconstruction
-from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording, append_press

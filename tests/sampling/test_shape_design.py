@@ -9,9 +9,9 @@ import pytest
 from tactorch.errors import ConfigError
 from tactorch.inverse import InverseProblem
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
-from tactorch.inverse.parameterization import Log
-from tactorch.inverse.shapes import ShapeReconstruction
-from tactorch.inverse.shapes.posterior import ShapePosterior
+from tactorch.inverse.fields.parameterization import Log
+from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.sampling import Patch

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import f, genpareto, kstest, multivariate_t, norm
 
 from tactorch.errors import ConvergenceError
-from tactorch.inverse.shapes.posterior import Normal
+from tactorch.inverse.posterior.shapes import Normal
 from tactorch.uncertainty.importance import (
     Student,
     effective_size,

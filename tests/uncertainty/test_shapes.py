@@ -10,15 +10,14 @@ from scipy.stats import genpareto
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse import InverseProblem, Settings
 from tactorch.inverse.fields import BALL, ELLIPSOID, ShapeField, ShapePrior
-from tactorch.inverse.shapes import ShapeReconstruction
-from tactorch.inverse.shapes.correction import Correction
-from tactorch.inverse.shapes.fit import ShapesOnSites, fit_shapes
-from tactorch.inverse.shapes.model import MIN_GAIN, Model, Start, gain, make_posterior
-from tactorch.inverse.shapes.posterior import ShapePosterior
-from tactorch.inverse.shapes.problem import ShapeProblem
-from tactorch.inverse.shapes.result import InclusionValues
-from tactorch.inverse.shapes.ridges import basis_across
-from tactorch.inverse.shapes.uncertain import final_posterior
+from tactorch.inverse.fit.shapes import ShapesOnSites, fit_shapes
+from tactorch.inverse.posterior.ridges import basis_across
+from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.result.shapes import InclusionValues, ShapeReconstruction
+from tactorch.inverse.search.correction import Correction
+from tactorch.inverse.search.final_posterior import final_posterior
+from tactorch.inverse.search.model import MIN_GAIN, Model, Start, gain, make_posterior
+from tactorch.inverse.search.problem import ShapeProblem
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.simulation import PressPlan, simulate

@@ -17,7 +17,7 @@ from tactorch.inverse import (
     Scaled,
 )
 from tactorch.inverse.fields import ElementField
-from tactorch.inverse.regularization.base import jumps, relative
+from tactorch.inverse.fields.regularization.base import jumps, relative
 from tactorch.uncertainty import variational_posterior
 
 LOG = Log()

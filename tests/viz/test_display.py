@@ -15,7 +15,7 @@ from tactorch.errors import ConfigError
 from tactorch.fem.contact import Ball
 from tactorch.inverse import Reconstruction, ShapeReconstruction
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
-from tactorch.inverse.shapes.posterior import ShapePosterior
+from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Recording

@@ -8,8 +8,8 @@ import pytest
 from tactorch.errors import TactorchError
 from tactorch.inverse import Reconstruction
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
-from tactorch.inverse.shapes import ShapeReconstruction
-from tactorch.inverse.shapes.posterior import ShapePosterior
+from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.mesh import box_mesh
 from tactorch.viz import reconstruction_figure
 from tactorch.viz.lump_surfaces import lump_surfaces

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tactorch.inverse.errors.kept import KeptRims
-from tactorch.inverse.problem import Evaluation, InverseProblem
+from tactorch.inverse.forward.problem import Evaluation, InverseProblem
 
 LEAST_CHANGE = 0.3  # norm of a change of the data that is left out, in standard deviations
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.inverse.data import DataModel
+from tactorch.inverse.data.observations import DataModel
 from tactorch.inverse.errors.base import ErrorSource, Levels, MeasuredPresses
-from tactorch.inverse.problem import Evaluation
+from tactorch.inverse.forward.problem import Evaluation
 
 
 class ErrorModel:

@@ -20,10 +20,10 @@ from scipy.linalg import orth
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import SoftBody
-from tactorch.inverse.data import CorrelatedNoise, Observation
+from tactorch.inverse.data.nuisance import Nuisance
+from tactorch.inverse.data.observations import CorrelatedNoise, Observation
 from tactorch.inverse.errors.base import ErrorSource, MeasuredPresses
-from tactorch.inverse.nuisance import Nuisance
-from tactorch.inverse.problem import InverseProblem
+from tactorch.inverse.forward.problem import InverseProblem
 from tactorch.recording import Recording
 
 # What the correction for the mesh leaves of its error, measured with truth on cubes whose balls are

@@ -5,7 +5,7 @@ import scipy.sparse as sp
 from jaxtyping import Float
 
 from tactorch.inverse.errors.base import LEAST_CHANGE, ErrorSource, MeasuredPresses, principal
-from tactorch.inverse.palpation import is_palpation
+from tactorch.inverse.forward.palpation import is_palpation
 from tactorch.linalg import map_cases
 
 _MIN_MOMENT = 0.01  # of the loaded points along an axis, over the largest

@@ -7,8 +7,8 @@ from jaxtyping import Float
 from scipy.linalg import orth
 
 from tactorch.inverse.errors.base import ErrorSource, MeasuredPresses
-from tactorch.inverse.footprint import largest_depth
-from tactorch.inverse.palpation import is_palpation
+from tactorch.inverse.forward.footprint import largest_depth
+from tactorch.inverse.forward.palpation import is_palpation
 from tactorch.recording import ProbePose, Recording
 
 _LEAST = 0.001  # that of the discretisation after its correction

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from tactorch.fem.elements import Discretisation
 from tactorch.inverse.errors.base import LEAST_CHANGE, ErrorSource, MeasuredPresses, principal
 from tactorch.inverse.errors.kept import press_key
-from tactorch.inverse.problem import Evaluation
+from tactorch.inverse.forward.problem import Evaluation
 from tactorch.linalg import map_cases
 from tactorch.mesh.tractions import LoadedSurface
 

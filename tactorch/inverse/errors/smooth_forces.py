@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from tactorch.inverse.errors.base import ErrorSource, MeasuredPresses
-from tactorch.inverse.palpation import PalpationProblem
+from tactorch.inverse.forward.palpation import PalpationProblem
 
 _BORDER = 2.0  # distance from the border where errors are larger, over the ball's radius
 _LENGTH = 0.25  # of the correlation, over the square root of the palpated area

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from jaxtyping import Float
 
 from tactorch.inverse.errors.base import ErrorSource, MeasuredPresses, principal
-from tactorch.inverse.problem import Evaluation
+from tactorch.inverse.forward.problem import Evaluation
 from tactorch.linalg import map_cases
 from tactorch.recording import Press
 

@@ -9,9 +9,9 @@ import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError
-from tactorch.inverse.parameterization import Parameterization
-from tactorch.inverse.problem import Evaluation
-from tactorch.inverse.regularization.base import Regularizer
+from tactorch.inverse.fields.parameterization import Parameterization
+from tactorch.inverse.fields.regularization.base import Regularizer
+from tactorch.inverse.forward.problem import Evaluation
 
 Vector = Float[np.ndarray, " size"]
 

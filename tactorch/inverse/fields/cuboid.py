@@ -26,7 +26,7 @@ class CuboidShape(InclusionShape):
 class CuboidFamily(Family):
     """Cuboids along x, y and z: centre, radius of the ball of the same volume, contrast and ratios.
 
-    A search tries none unless it starts from one (`tactorch.inverse.shapes.model.with_family`).
+    A search tries none unless it starts from one (`tactorch.inverse.search.model.with_family`).
     """
 
     name = judged_as = "cuboid"

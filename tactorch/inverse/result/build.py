@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 
 from tactorch.config import to_mapping
-from tactorch.inverse.monitor import Monitor
-from tactorch.inverse.objective import Objective
-from tactorch.inverse.optimizers.base import Optimizer
-from tactorch.inverse.predictions import Predictions
+from tactorch.inverse.fit.monitor import Monitor
+from tactorch.inverse.fit.objective import Objective
+from tactorch.inverse.fit.optimizers.base import Optimizer
+from tactorch.inverse.fit.settings import Settings
+from tactorch.inverse.forward.predictions import Predictions
 from tactorch.inverse.result.inclusions import lumps_of, reasons_of, warnings_of
 from tactorch.inverse.result.reconstruction import Reconstruction, volume_at_bounds
 from tactorch.inverse.result.regions import build_lump, find_lumps
-from tactorch.inverse.settings import Settings
-from tactorch.inverse.shapes.result import ShapeReconstruction
+from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.mesh.quadrature import element_means
 from tactorch.recording import Recording
 from tactorch.versions import versions

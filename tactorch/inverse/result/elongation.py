@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.inverse.shapes import InclusionShape
+from tactorch.inverse.fields import InclusionShape
 
 _MIN_RATIO = 2.0  # of the longest semi-axis to the next one
 

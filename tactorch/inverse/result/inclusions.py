@@ -5,7 +5,7 @@ import numpy as np
 from tactorch.inverse.errors import ERRORS
 from tactorch.inverse.result.elongation import Elongation
 from tactorch.inverse.result.lump import Confidence, Lump, measure_depth
-from tactorch.inverse.shapes.result import ShapeInclusion, ShapeReconstruction
+from tactorch.inverse.result.shapes import ShapeInclusion, ShapeReconstruction
 from tactorch.metrics import Inclusion
 from tactorch.recording import Recording
 

@@ -20,12 +20,12 @@ from tactorch.hdf5 import (
     write_hdf5,
     write_json,
 )
-from tactorch.inverse.nuisance import NuisanceEstimate
-from tactorch.inverse.posterior import GaussianPosterior, normal_quantile
+from tactorch.inverse.data.nuisance import NuisanceEstimate
+from tactorch.inverse.posterior.gaussian import GaussianPosterior, normal_quantile
 from tactorch.inverse.result.lump import Lump
 from tactorch.inverse.result.regions import build_lump, find_lumps
+from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.inverse.result.text import summarize
-from tactorch.inverse.shapes.result import ShapeReconstruction
 from tactorch.mesh import TetMesh, locate, write_mesh
 from tactorch.mesh.quadrature import lattice
 
@@ -75,7 +75,7 @@ class Reconstruction(Displayed):
         config: Settings, versions and provenance, as plain JSON values.
         nuisance: Estimates of the nuisance parameters by name.
         predicted: Predicted data of all presses (mm, N, N mm), those of each in the order of its
-            `tactorch.inverse.data.Observation`; None in files of earlier versions.
+            `tactorch.inverse.data.observations.Observation`; None in files of earlier versions.
         residuals: Predicted less observed data, in standard deviations; None likewise.
         lumps: Lumps, the most probable or conspicuous first; none unless the status is `FOUND`.
         background_mpa: Young's modulus of the background, MPa.

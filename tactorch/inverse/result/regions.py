@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from scipy.special import ndtr, ndtri
 
 from tactorch.errors import ConfigError
-from tactorch.inverse.posterior import GaussianPosterior
+from tactorch.inverse.posterior.gaussian import GaussianPosterior
 from tactorch.inverse.result.lump import TAIL, Confidence, Lump, measure_depth
 from tactorch.mesh import TetMesh
 from tactorch.metrics import Inclusion

@@ -11,8 +11,8 @@ from jaxtyping import Float, Shaped
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Bounds, InverseProblem, NoiseModel
-from tactorch.inverse.linear_image import linear_image
-from tactorch.inverse.starts import uniform_fit
+from tactorch.inverse.fit.linear_image import linear_image
+from tactorch.inverse.fit.starts import uniform_fit
 from tactorch.mesh import TetMesh, VoxelGrid
 from tactorch.recording import Press, Recording
 

@@ -23,7 +23,7 @@ from tactorch.inverse import (
     homogeneous,
     make_objective,
 )
-from tactorch.inverse.starts import fits_better_than_uniform
+from tactorch.inverse.fit.starts import fits_better_than_uniform
 from tactorch.learning.surrogate.features import compute_features
 from tactorch.learning.surrogate.network import INCLUDED_WEIGHTS, Surrogate, load_surrogate
 from tactorch.mesh import VoxelGrid

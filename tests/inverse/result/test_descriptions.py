@@ -11,12 +11,13 @@ import pytest
 
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.inverse import GaussNewton, Reconstruction, Settings, Status, invert, invert_map
-from tactorch.inverse.data import DataModel, Observation, group_by_contact
+from tactorch.inverse.data.observations import DataModel, Observation, group_by_contact
+from tactorch.inverse.errors.kept import KeptRims
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
-from tactorch.inverse.held_out import held_out_score
-from tactorch.inverse.predictions import Predictions
-from tactorch.inverse.shapes import KeptRims, ShapeReconstruction
-from tactorch.inverse.shapes.posterior import ShapePosterior
+from tactorch.inverse.forward.predictions import Predictions
+from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.result.shapes import ShapeReconstruction
+from tactorch.inverse.search.held_out import held_out_score
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording

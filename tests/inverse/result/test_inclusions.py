@@ -8,9 +8,9 @@ import pytest
 
 from tactorch.inverse import Reconstruction, Status
 from tactorch.inverse.fields import ELLIPSOID, ShapeField, ShapePrior
+from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.inverse.result.text import describe, describe_lump
-from tactorch.inverse.shapes import ShapeReconstruction
-from tactorch.inverse.shapes.posterior import ShapePosterior
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.simulation import PressPlan, simulate

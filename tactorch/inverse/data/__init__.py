@@ -1,0 +1,1 @@
+"""The data of an inversion: observations, their noise, misfits and nuisance parameters."""

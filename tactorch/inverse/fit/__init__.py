@@ -1,0 +1,1 @@
+"""Objectives, and the optimizers that minimise them, with starts and stopping rules."""

@@ -1,0 +1,46 @@
+"""Predictions of the presses at a result, for its files, pictures and tables."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.inverse.data.observations import Observation
+from tactorch.inverse.forward.problem import Evaluation
+from tactorch.recording import Press, Recording
+
+
+class Predictions(NamedTuple):
+    """Predictions of all presses, corrected for the errors of the model that were estimated.
+
+    Attributes:
+        displacements: Displacement of the nodes of the recording's mesh, mm; none of a palpation.
+        data: Predicted data (mm, N, N mm), those of each press in the order of its `Observation`.
+        residuals: Predicted less observed data, in standard deviations.
+    """
+
+    displacements: Float[np.ndarray, "presses n 3"]
+    data: Float[np.ndarray, " data"]
+    residuals: Float[np.ndarray, " data"]
+
+    @staticmethod
+    def of(evaluation: Evaluation, recording: Recording) -> "Predictions":
+        """Return the predictions of an evaluation, maybe on a refinement of the recording's mesh.
+
+        The data of the evaluation may be shifted by estimated errors of the model; the predictions
+        are of the data as they were recorded.
+        """
+        n = recording.mesh.n_points
+        shifted = np.concatenate([o.values for o in evaluation.data.observations])
+        correction = observed_data(recording.presses) - shifted
+        return Predictions(
+            np.array([u[:n] for u in evaluation.displacements]).reshape(-1, n, 3),
+            np.concatenate(evaluation.predicted) + correction,
+            np.concatenate(evaluation.deviations),
+        )
+
+
+def observed_data(presses: Sequence[Press]) -> Float[np.ndarray, " data"]:
+    """Return the recorded data of all presses, in the order of `Predictions.data`."""
+    return np.concatenate([Observation.of(press, 1.0).values for press in presses])

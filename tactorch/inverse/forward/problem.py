@@ -1,0 +1,547 @@
+"""The forward problem of all presses: equilibria, predictions and their derivatives (eq. 7)."""
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+
+from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.fem import (
+    EquilibriumResult,
+    Newton,
+    NewtonOptions,
+    Sensitivity,
+    SoftBody,
+    Supports,
+    make_material,
+)
+from tactorch.fem.body import check_youngs
+from tactorch.fem.contact import Contact
+from tactorch.fem.elements import ConsistentLoads
+from tactorch.inverse.data.misfit import Misfit, Squares
+from tactorch.inverse.data.nuisance import Nuisance, NuisancePrior, PressModel
+from tactorch.inverse.data.observations import DataModel, NoiseModel, Observation
+from tactorch.inverse.forward.probes import PressReadings, apparent_mpa, make_contacts
+from tactorch.linalg import SharedLease, SolverOptions, map_cases
+from tactorch.linalg.parallel import worker_count
+from tactorch.recording import Recording
+
+_MAX_RELATIVE_CHANGE = 0.5  # of a modulus, for which du/de predicts u
+
+
+@dataclass(frozen=True, eq=False)
+class _PressSolution:
+    """The equilibrium of one press: the press at the nuisance values, and the search's result."""
+
+    model: PressModel
+    newton: Newton
+    equilibrium: EquilibriumResult
+    readings: PressReadings
+
+    @cached_property
+    def other(self) -> Float[np.ndarray, " k"]:
+        """Predicted data that are not displacements of nodes."""
+        return self.readings.predicted(self.newton, self.equilibrium)
+
+    def predicted(self, observation: Observation) -> Float[np.ndarray, " data"]:
+        """Return the predicted data."""
+        return np.concatenate([self.reported.ravel()[observation.index], self.other])
+
+    @property
+    def reported(self) -> Float[np.ndarray, "n 3"]:
+        return self.model.reported(self.equilibrium.displacement)
+
+
+class _LinearResponse(NamedTuple):
+    """Changes of the data (mm or N) and displacements (mm) of each press by changes of moduli."""
+
+    changes: Float[np.ndarray, "k moduli"]
+    columns: tuple[Float[np.ndarray, "_ k"], ...]
+    fields: tuple[Float[np.ndarray, "k nodes 3"], ...]
+
+
+class Evaluation:
+    """All presses at one map of moduli; derivatives are computed on demand.
+
+    Attributes:
+        youngs: Young's modulus of each element, or of each of its quadrature points, MPa.
+        nuisance: Nuisance values.
+        residuals: Half their square is minimised: predicted minus observed of all presses, in
+            standard deviations, transformed by the misfit.
+        misfit_mm2: Half the sum of squared differences of displacements (eq. 7), mm^2.
+        data: Observations.
+    """
+
+    def __init__(
+        self,
+        youngs: Float[np.ndarray, "m *q"],
+        nuisance: Nuisance,
+        weight: Float[np.ndarray, "nodes 3"],
+        presses: list[_PressSolution],
+        data: DataModel,
+        derivative_rtol: float = 0.0,
+    ) -> None:
+        self.derivative_rtol = derivative_rtol
+        self.youngs, self.nuisance = youngs, nuisance
+        self._weight, self._presses = weight, presses
+        self.data, self._misfit, self._begins = data, data.misfit, data.begins
+        pairs = zip(self.predicted, data.observations, strict=True)
+        difference = [predicted - observation.values for predicted, observation in pairs]
+        moved = [d[o.units[0]] for d, o in zip(difference, data.observations, strict=True)]
+        self.misfit_mm2 = 0.5 * float(sum(d @ d for d in moved))
+        self._white = data.whiten(np.concatenate(difference) * data.scale)
+        self.residuals = self._misfit.residuals(self._white, self._begins)
+        self._response: _LinearResponse | None = None  # the last one
+
+    @property
+    def chi2(self) -> float:
+        """Mean squared deviation, or a robust estimate; one when the data are fitted to noise."""
+        return self._misfit.chi2(self._white, self._begins)
+
+    @property
+    def deviations(self) -> list[Float[np.ndarray, " _"]]:
+        """Predicted minus observed, each press, in independent standard deviations."""
+        return np.split(self._white, self._begins[1:])
+
+    @property
+    def displacements(self) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Predicted displacement of each press, mm."""
+        return [press.equilibrium.displacement for press in self._presses]
+
+    @property
+    def reported(self) -> list[Float[np.ndarray, "n 3"]]:
+        """Predicted displacement that the sensor reports, each press, mm."""
+        return [press.reported for press in self._presses]
+
+    @property
+    def predicted(self) -> list[Float[np.ndarray, " _"]]:
+        """Predicted data of each press, in the order of its `Observation`."""
+        pairs = zip(self._presses, self.data.observations, strict=True)
+        return [press.predicted(observation) for press, observation in pairs]
+
+    def with_data(self, data: DataModel) -> "Evaluation":
+        """Return the same equilibria with other statistics of the same data."""
+        state = (self.youngs, self.nuisance, self._weight, self._presses, data)
+        other = Evaluation(*state, self.derivative_rtol)
+        if "sensitivities" in vars(self):
+            other.sensitivities = self.sensitivities
+        other._response = self._response
+        return other
+
+    def search(self, i: int) -> Newton:
+        """Return the equilibrium search of press i."""
+        return self._presses[i].newton
+
+    @cached_property
+    def sensitivities(self) -> list[Sensitivity]:
+        """Linearisation of each press, factored once."""
+        frame = self.nuisance.rotation if self.nuisance.rotation_rad.any() else None
+
+        def work(i: int) -> Sensitivity:
+            press, observation = self._presses[i], self.data.observations[i]
+            linearization = press.newton.linearize(press.equilibrium, self.derivative_rtol)
+            rates = press.readings.rates(press.newton, press.equilibrium)
+            return Sensitivity(linearization, observation.index, frame, rates)
+
+        return map_cases(work, len(self._presses))
+
+    def factor(self) -> None:
+        """Factor the tangent of each press.
+
+        Raises:
+            ConvergenceError: an equilibrium is unstable.
+        """
+        for sensitivity in self.sensitivities:
+            sensitivity.linearization.factor()
+
+    def jacobian(self) -> Float[np.ndarray, "data m"]:
+        """Return d residuals / d youngs, 1/MPa, by one solve per observed degree of freedom."""
+        cases, data = self.sensitivities, self.data.observations
+        parts = map_cases(lambda i: cases[i].matrix() * data[i].scale[:, None], len(cases))
+        return self._join(parts)
+
+    def nuisance_jacobian(self, names: tuple[str, ...]) -> Float[np.ndarray, "data k"]:
+        """Return d residuals / d nuisance parameters, by one solve per component and press.
+
+        For scales the derivative is by the logarithm. Rotation is by the vector's components.
+        """
+        cases = self.sensitivities
+
+        def work(i: int) -> np.ndarray:
+            # The implicit function theorem: K du = df - dR, with K already factored.
+            press, linearization, columns = self._presses[i], cases[i].linearization, []
+            for name in names:
+                forces, reports = press.model.rates(name, press.equilibrium.displacement)
+                changes = self._loads(press, forces)
+                if name == "poisson":
+                    changes = [-rate for rate in linearization.parameter_forces(poisson=True)]
+                elif name == "rest_scale":
+                    rates = linearization.parameter_forces(stretch=True)
+                    changes = [self._weight - rate for rate in rates]
+                moved = linearization.force_response(np.reshape(changes, (-1, *self._weight.shape)))
+                pairs = zip(moved, changes, strict=True)
+                indirect = [cases[i].observe(field, -change) for field, change in pairs]
+                direct = [cases[i].observed_components(report) for report in reports]
+                if indirect and direct:
+                    columns += [a + b for a, b in zip(indirect, direct, strict=True)]
+                else:
+                    columns += indirect or direct
+            return np.column_stack(columns) * self.data.observations[i].scale[:, None]
+
+        return self._join(map_cases(work, len(cases)))
+
+    def _loads(
+        self, press: _PressSolution, changes: Sequence[Float[np.ndarray, "n 3"]]
+    ) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Return the loads of all nodes by changes of a press's nodal forces, N."""
+        discretisation = press.newton.assembly.discretisation
+        if not discretisation.element.quadratic:
+            return list(changes)
+        # The loaded triangles are those of the press: a change may be zero at some nodes.
+        loads = ConsistentLoads.of(discretisation, press.model.forces)
+        return [loads.apply(change) for change in changes]
+
+    def jacobian_times(self, change: Float[np.ndarray, "m *q"]) -> Float[np.ndarray, " data"]:
+        """Return the change of the residuals by a change of the moduli (MPa)."""
+        cases, data = self.sensitivities, self.data.observations
+        return self._join(map_cases(lambda i: cases[i].times(change) * data[i].scale, len(cases)))
+
+    def jacobian_times_each(
+        self, changes: Float[np.ndarray, "k moduli"]
+    ) -> Float[np.ndarray, "data k"]:
+        """Return the change of the residuals by each of several changes of the moduli (MPa)."""
+        columns, _ = self.linear_response(changes)
+        return columns
+
+    def linear_response(
+        self, changes: Float[np.ndarray, "k moduli"]
+    ) -> tuple[Float[np.ndarray, "data k"], list[Float[np.ndarray, "k nodes 3"]]]:
+        """Return `jacobian_times_each`, and the change of the displacement of each press (mm).
+
+        The last response is kept, also by `with_data`, for the same changes.
+        """
+        cases, data = self.sensitivities, self.data.observations
+
+        def work(i: int) -> tuple[np.ndarray, np.ndarray]:
+            columns, fields = cases[i].times_each(changes)
+            return columns, np.array(fields)
+
+        if self._response is None or not np.array_equal(self._response.changes, changes):
+            columns, fields = zip(*map_cases(work, len(cases)), strict=True)
+            self._response = _LinearResponse(changes.copy(), columns, fields)
+        pairs = zip(self._response.columns, data, strict=True)
+        scaled = [columns * observation.scale[:, None] for columns, observation in pairs]
+        return self._join(scaled), list(self._response.fields)
+
+    def moved(
+        self, changes: Sequence[Float[np.ndarray, "nodes 3"]]
+    ) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Return the displacements of all presses plus changes (mm) that invert no element."""
+
+        def work(i: int) -> np.ndarray:
+            before = self._presses[i].equilibrium.displacement
+            guess = before + changes[i]
+            return guess if self.search(i).assembly.respond(guess) is not None else before
+
+        return map_cases(work, len(self._presses))
+
+    def probe_motions(self) -> list[Float[np.ndarray, "data axes"]]:
+        """Return the changes of the data of each press by a motion of its probe, 1/mm.
+
+        The motion is along the axes of the mesh, the unit that of the standard deviations; there
+        are no columns without a probe.
+        """
+        cases, data = self.sensitivities, self.data.observations
+
+        def work(i: int) -> np.ndarray:
+            press, scale = self._presses[i], data[i].scale[:, None]
+            contact = press.newton.contact
+            if contact is None:
+                return np.zeros((len(scale), 0))
+            motions = np.tile(np.eye(3), (self._weight.shape[0], 1))
+            tangent = contact.tangent(contact.at(press.equilibrium.displacement))
+            forces = (tangent @ motions).T.reshape(3, -1, 3)
+            moved = cases[i].linearization.force_response(np.ascontiguousarray(forces))
+            columns = np.column_stack([cases[i].observe(field) for field in moved])
+            columns[len(data[i].index) :] += press.readings.by_motion(
+                press.newton, press.equilibrium
+            )
+            return columns * scale
+
+        return map_cases(work, len(cases))
+
+    def load_response(
+        self, number: int, changes: Sequence[Float[np.ndarray, "n 3"]]
+    ) -> Float[np.ndarray, "data k"]:
+        """Return the changes of the data of a press by changes of its nodal forces, N.
+
+        The unit is that of the standard deviations.
+        """
+        case, scale = self.sensitivities[number], self.data.observations[number].scale
+        loads = np.array(self._loads(self._presses[number], changes))
+        moved = case.linearization.force_response(loads)
+        return np.column_stack([case.observe(u) * scale for u in moved])
+
+    def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, "m *q"]:
+        """Return the transpose of d residuals / d youngs times `weights`."""
+        parts, cases = self._split(weights), self.sensitivities
+        return np.sum(map_cases(lambda i: cases[i].transpose_times(parts[i]), len(parts)), axis=0)
+
+    def gradient(self) -> Float[np.ndarray, "m *q"]:
+        """Return the gradient of half the sum of squared residuals, by one adjoint solve per press.
+
+        This is eq. (9) to (13), without the paper's second minus.
+        """
+        return self.transpose_times(self.residuals)
+
+    @cached_property
+    def _adjoints(self) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Adjoint displacement of each press for the residuals, 1/N."""
+        parts, cases = self._split(self.residuals), self.sensitivities
+        return map_cases(lambda i: cases[i].adjoint(parts[i]), len(parts))
+
+    def second_order_times(self, change: Float[np.ndarray, "m *q"]) -> Float[np.ndarray, "m *q"]:
+        """Return the part of the misfit's Hessian that Gauss-Newton omits times a change (MPa).
+
+        It takes one solve per press more than the two of Gauss-Newton; see
+        `tactorch.fem.Linearization.second_order`.
+
+        Raises:
+            ConfigError: a press is by a probe, or has a measured force.
+        """
+        for solution, observation in zip(self._presses, self.data.observations, strict=True):
+            if solution.newton.contact is not None or observation.force is not None:
+                raise ConfigError(
+                    "The exact Hessian is not known for presses by a probe, or with measured "
+                    "forces; choose an optimizer or a Hessian by Gauss-Newton."
+                )
+        pairs = zip(self.sensitivities, self._adjoints, strict=True)
+        return np.sum([s.linearization.second_order(a, change) for s, a in pairs], axis=0)
+
+    def _join(self, parts: list[np.ndarray]) -> Float[np.ndarray, "data *k"]:
+        """Derivatives of the residuals from those of each press in standard deviations."""
+        white = self.data.whiten(np.concatenate(parts))
+        return self._misfit.derivative(self._white, self._begins, white)
+
+    def _split(self, weights: Float[np.ndarray, " data"]) -> list[Float[np.ndarray, " p"]]:
+        """Weights of the residuals as weights of the data of each press, 1 over their unit."""
+        white = self.data.whiten(self._misfit.derivative(self._white, self._begins, weights))
+        parts = zip(np.split(white, self._begins[1:]), self.data.observations, strict=True)
+        return [part * observation.scale for part, observation in parts]
+
+    def predict(self, youngs: Float[np.ndarray, "m *q"]) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Predict the displacements at other moduli.
+
+        To first order where the change is small and the presses are linearised already.
+        """
+        change = youngs - self.youngs
+        large = np.abs(change / self.youngs).max() > _MAX_RELATIVE_CHANGE
+        if large or "sensitivities" not in vars(self):
+            return self.displacements
+        cases = self.sensitivities
+        return self.moved(
+            map_cases(lambda i: cases[i].linearization.displacement_change(change), len(cases))
+        )
+
+
+class InverseProblem:
+    """A recording as an inverse problem.
+
+    Args:
+        recording: Presses, mesh and material. Its truth and reference are never read.
+        element: Element type.
+        solver: Linear solver.
+        noise: Standard deviations for presses that do not state theirs.
+        newton: Settings of the equilibrium search.
+        misfit: Cost of the residuals; squares by default.
+        nuisance: Nuisance parameters that are estimated together with the map, for starts.
+        body: Body of this mesh, material, element and solver, where it exists already.
+        derivative_rtol: Relative residual of the solves for derivatives, for which presses of the
+            same supports share factorisations; zero factors the tangent of each press, which is
+            better for more than some tens of solves.
+        contact_mpa: Modulus for the stiffness of contacts with probes, MPa; by default the uniform
+            one by some of the measured forces.
+
+    Attributes:
+        data: Observations and the statistics of their errors.
+        assumed: Nuisance values that the recording states.
+        evaluations: Number of evaluations so far.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        *,
+        element: str = "tet4",
+        solver: str | SolverOptions = "auto",
+        noise: NoiseModel | None = None,
+        newton: NewtonOptions | None = None,
+        misfit: Misfit | None = None,
+        nuisance: NuisancePrior | None = None,
+        body: SoftBody | None = None,
+        derivative_rtol: float = 0.0,
+        contact_mpa: float | None = None,
+    ) -> None:
+        self.derivative_rtol, self._contact_mpa = derivative_rtol, contact_mpa
+        self.recording = recording
+        self.body = body or make_body(recording, element, solver, newton)
+        self.noise = noise or NoiseModel()
+        presses = recording.presses
+        pairs = zip(presses, self.noise.deviations(recording), strict=True)
+        observations = tuple(Observation.of(press, deviation) for press, deviation in pairs)
+        self.data = DataModel(observations, misfit or Squares())
+        self.nuisance = nuisance or NuisancePrior()
+        self._check_nuisance()
+        self.assumed = Nuisance(recording.material.poisson)
+        self._weight = np.zeros((self.body.n_nodes, 3))
+        if recording.density:
+            gravity = self.body.gravity(recording.density, torch.tensor(recording.gravity))
+            self._weight = gravity.numpy()
+        self._readings = [PressReadings.of(press, self.body.discretisation) for press in presses]
+        self.evaluations = 0
+        self._leases = self._share() if derivative_rtol else None
+
+    @cached_property
+    def _order(self) -> Int[np.ndarray, " presses"]:
+        """Order of the presses, in which those that share factorisations are apart."""
+        keys: list[Any] = list(self._leases or range(len(self.recording.presses)))
+        return np.argsort([keys[:i].count(key) for i, key in enumerate(keys)], kind="stable")
+
+    def _share(self) -> list[SharedLease]:
+        """Return the factorisations that each press shares with those of the same supports."""
+        single = not self.body.assembly.material.allows_inversion
+        leases: dict[bytes, SharedLease] = {}
+        shared = []
+        for press in self.recording.presses:
+            key = press.fixed.tobytes() + press.springs.tobytes()
+            if key not in leases:
+                leases[key] = SharedLease(self.body.pool, single)
+            shared.append(leases[key])
+        return shared
+
+    def _check_nuisance(self) -> None:
+        """Refuse nuisance parameters that probes and other readings do not have."""
+        others = sorted(set(self.nuisance.names) - {"poisson"})
+        for press in self.recording.presses:
+            if others and (press.probe is not None or press.has_readings):
+                raise ConfigError(
+                    f"{press.label} has a probe, or other data than displacements of nodes; "
+                    f"{', '.join(others)} cannot be estimated with it. Leave them out."
+                )
+
+    @cached_property
+    def _contacts(self) -> list[Contact | None]:
+        """Contact of each press with its probe."""
+        if not self.recording.has_probes:
+            return [None] * len(self.recording.presses)
+        return make_contacts(self.recording, self.body, self.contact_mpa)
+
+    @cached_property
+    def contact_mpa(self) -> float:
+        """Modulus for the stiffness of contacts with probes, MPa."""
+        return self._contact_mpa or apparent_mpa(self.recording, self.body)
+
+    @property
+    def noise_is_limit(self) -> bool:
+        """Whether the noise of some press may be smaller than its deviation."""
+        return self.noise.floored(self.recording)
+
+    @property
+    def n_data(self) -> int:
+        """Number of data over all presses."""
+        return sum(self.data.counts)
+
+    @property
+    def n_elements(self) -> int:
+        """Number of moduli."""
+        return self.recording.mesh.n_tets
+
+    def with_data(self, data: DataModel) -> "InverseProblem":
+        """Return the problem with other data, on the same body."""
+        problem = copy(self)
+        problem.data = data
+        return problem
+
+    def evaluate(
+        self,
+        youngs: Float[np.ndarray, "m *q"],
+        near: Evaluation | None = None,
+        nuisance: Nuisance | None = None,
+        take_over: bool = False,
+        chained: bool = False,
+        starts: Sequence[Float[np.ndarray, "nodes 3"]] | None = None,
+    ) -> Evaluation:
+        """Solve all presses at these moduli, in parallel.
+
+        Args:
+            youngs: Young's modulus of each element, or of each of its quadrature points, MPa.
+            near: Evaluation at similar moduli to start from.
+            nuisance: Nuisance values; by default those that the recording states.
+            take_over: Whether to take over the factorisations of `near`, which must then factor
+                again for its derivatives. It saves time and half the memory. Without effect where
+                presses share factorisations.
+            chained: Whether to solve the presses on each core one after the other, each with the
+                factorisation of the one before. It needs the memory of one press a core, but gives
+                no derivatives. Without effect on the factorisations where presses share them.
+            starts: Displacement to start from, each press, mm; by default those of `near`.
+
+        Raises:
+            ConvergenceError: a press has no equilibrium; names the press.
+        """
+        check_youngs(youngs, self.body.assembly.weights.shape)
+        values, mesh = nuisance or self.assumed, self.recording.mesh
+        assembly = self.body.with_parameters(values.poisson, mesh.points * values.rest_scale)
+        weight = self._weight * values.rest_scale.prod()
+        if starts is None and near is not None:
+            starts = near.predict(youngs)
+
+        contacts = self._contacts
+
+        def work(i: int, after: Newton | None = None) -> _PressSolution:
+            press = self.recording.presses[i]
+            model = PressModel.of(press, mesh, values)
+            supports = Supports(press.fixed, press.prescribed, press.springs)
+            forces = self.body.discretisation.consistent_loads(model.forces) + weight
+            if near is not None and take_over:
+                after = near.search(i)
+            lease = None if self._leases is None else self._leases[i]
+            newton = self.body.search(
+                youngs, forces, supports, assembly=assembly, after=after, lease=lease,
+                contact=contacts[i],
+            )  # fmt: skip
+            equilibrium = newton.run(None if starts is None else starts[i])
+            if not equilibrium.converged:
+                raise ConvergenceError(f"{press.label} (index {i}): {equilibrium.reason}")
+            return _PressSolution(model, newton, equilibrium, self._readings[i])
+
+        self.evaluations += 1
+        count = len(self.data.observations)
+        if chained:
+            chains = np.array_split(np.arange(count), min(worker_count(), count))
+
+            def in_turn(k: int) -> list[_PressSolution]:
+                found: list[_PressSolution] = []
+                for i in chains[k]:
+                    found.append(work(int(i), found[-1].newton if found else None))
+                return found
+
+            solutions = [one for part in map_cases(in_turn, len(chains)) for one in part]
+        else:
+            order = self._order
+            found = map_cases(lambda k: work(int(order[k])), count)
+            solutions = [found[k] for k in np.argsort(order)]
+        return Evaluation(youngs, values, weight, solutions, self.data, self.derivative_rtol)
+
+
+def make_body(
+    recording: Recording, element: str, solver: str | SolverOptions, newton: NewtonOptions | None
+) -> SoftBody:
+    """Return the body of a recording."""
+    spec = recording.material
+    material = make_material(spec.name, spec.poisson, **spec.parameters)
+    return SoftBody(recording.mesh, material, element=element, solver=solver, newton=newton)

@@ -1,0 +1,269 @@
+"""The result of a search for shapes: inclusions with intervals, as numbers and as a field."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from dataclasses import field as attribute
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import expit
+
+from tactorch.display import Displayed
+from tactorch.inverse.errors import Levels
+from tactorch.inverse.fields import InclusionShape, ShapeField, Sites
+from tactorch.inverse.forward.predictions import Predictions
+from tactorch.inverse.posterior.shapes import ShapePosterior
+
+_DRAWS = 1000
+
+
+class Interval(NamedTuple):
+    """A central 90 % interval."""
+
+    low: float
+    high: float
+
+
+class InclusionValues(NamedTuple):
+    """An inclusion of each of several draws of the parameters of shapes.
+
+    Attributes:
+        center_mm: Centre, mm.
+        radius_mm: Radius of the ball of the same volume, mm.
+        youngs_mpa: Young's modulus, MPa.
+        background_mpa: Young's modulus of the background at the centre, MPa.
+        contrast: Young's modulus over that of the background.
+    """
+
+    center_mm: Float[np.ndarray, "draws 3"]
+    radius_mm: Float[np.ndarray, " draws"]
+    youngs_mpa: Float[np.ndarray, " draws"]
+    background_mpa: Float[np.ndarray, " draws"]
+    contrast: Float[np.ndarray, " draws"]
+
+    @staticmethod
+    def of(field: ShapeField, z: Float[np.ndarray, "draws size"], k: int) -> "InclusionValues":
+        """Return inclusion k of each draw, in standard deviations of the field's prior."""
+        values = field.physical(z)
+        own = field.own(values, k)
+        background, contrast = field.log_background(values, own.center), own.log_contrast
+        logs = (own.log_radius, background + contrast, background, contrast)
+        return InclusionValues(own.center, *map(np.exp, logs))
+
+
+@dataclass(frozen=True)
+class ShapeInclusion:
+    """An inclusion with its uncertainty.
+
+    Intervals are central 90 % intervals of the posterior. They account for noise, for rigid motions
+    of the sensor or the object, and for errors of the forces where the data show them, but not for
+    other errors of the model.
+
+    Attributes:
+        shape: Most probable shape.
+        youngs_mpa: Young's modulus, MPa.
+        background_mpa: Young's modulus of the background at the centre, MPa.
+        center_deviation_mm: Standard deviation of the centre along x, y and z, mm.
+        radius_90_mm: Interval of the radius of the ball of the same volume, mm.
+        youngs_90_mpa: Interval of Young's modulus, MPa.
+        contrast_90: Interval of Young's modulus over that of the background.
+        probability: Probability that the inclusion exists.
+    """
+
+    shape: InclusionShape
+    youngs_mpa: float
+    background_mpa: float
+    center_deviation_mm: tuple[float, float, float]
+    radius_90_mm: Interval
+    youngs_90_mpa: Interval
+    contrast_90: Interval
+    probability: float
+
+
+class ShapeState(NamedTuple):
+    """A model of a search that was stopped, from which another one may start.
+
+    Attributes:
+        field: The family of the shapes.
+        z: Parameters, in standard deviations of the prior.
+        errors: Deviations of the errors of the data.
+    """
+
+    field: ShapeField
+    z: Float[np.ndarray, " size"]
+    errors: Levels
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ShapeReconstruction(Displayed):
+    """Inclusions with sharp boundaries in a uniform or smooth background.
+
+    Attributes:
+        field: The family of the shapes, with the prior of its parameters.
+        z: Most probable parameters, in standard deviations of the prior.
+        posterior: Their posterior, where balls may be ellipsoids.
+        chi2: Mean squared residual, in standard deviations.
+        log_odds: For each inclusion, the log-evidence over that of the model without it.
+        log_odds_any: The same for all inclusions together.
+        errors: Deviations of the errors by which the data are best explained, each in its unit; see
+            `tactorch.inverse.errors`. Others are zero.
+        unexplained: Root mean square of the residuals beyond their noise and the recognised errors
+            of forces and poses, over that of the observed displacements.
+        history: The accepted models with their chi2 and log-evidence.
+        predictions: Predictions of the presses; None where the result comes from a file.
+        held_out: How well a contact is predicted from the others; None where it is not known. See
+            `tactorch.inverse.search.held_out`.
+    """
+
+    field: ShapeField
+    z: Float[np.ndarray, " size"]
+    posterior: ShapePosterior
+    chi2: float
+    log_odds: tuple[float, ...]
+    log_odds_any: float
+    errors: Levels = attribute(default_factory=dict)
+    unexplained: float = 0.0
+    history: tuple[dict[str, Any], ...] = ()
+    predictions: Predictions | None = None
+    held_out: float | None = None
+
+    def summary(self) -> str:
+        """Return a description of the result in a few lines of text."""
+        count = len(self.field.parts)
+        lines = [
+            f"{count} inclusion{'' if count == 1 else 's'} in {self.background_mpa:.3g} MPa, "
+            f"chi2 {self.chi2:.3g}"
+        ]
+        for found in self.inclusions:
+            center = ", ".join(f"{x:.2f}" for x in found.shape.center_mm)
+            (smallest, largest), (low, high) = found.radius_90_mm, found.youngs_90_mpa
+            lines.append(
+                f"({center}) mm: radius {found.shape.radius_mm:.3g} mm [{smallest:.3g}, "
+                f"{largest:.3g}], {found.youngs_mpa:.3g} MPa [{low:.2g}, {high:.2g}], "
+                f"probability {found.probability:.3g}"
+            )
+        return "\n".join(lines)
+
+    @property
+    def force_deviation(self) -> float:
+        """Deviation of the forces of each press, or over the places of a palpation, relative."""
+        return max(self.errors.get(name, 0.0) for name in ("forces", "smooth_forces"))
+
+    @property
+    def pose_deviation(self) -> float:
+        """Deviation of rigid motions at each contact, over the observed displacements."""
+        return self.errors.get("pose", 0.0)
+
+    @property
+    def rim_deviation(self) -> float:
+        """Deviation of the traction at edges of the mesh at rims of contacts, over the mean."""
+        return self.errors.get("rims", 0.0)
+
+    @property
+    def probability(self) -> float:
+        """Probability that there is an inclusion, where all models are as likely beforehand."""
+        return float(expit(self.log_odds_any)) if self.log_odds else 0.0
+
+    @property
+    def background_mpa(self) -> float:
+        """Young's modulus of the background, MPa; the geometric mean where it is smooth."""
+        return float(np.exp(self.field.physical(self.z)[self.field.background.level]))
+
+    def youngs_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        """Return the most probable Young's modulus at points (mm), MPa."""
+        return np.exp(self.field.log_youngs(self.z, Sites.at(points)))
+
+    def log_deviation_at(
+        self, points: Float[np.ndarray, "n 3"], draws: int = 200
+    ) -> Float[np.ndarray, " n"]:
+        """Return the standard deviation of the logarithm of Young's modulus at points (mm)."""
+        sites = Sites.at(points)
+        field = self.posterior.field
+        return np.std([field.log_youngs(z, sites) for z in self.samples[:draws]], axis=0)
+
+    def intervals_of(
+        self, points: Float[np.ndarray, "m k 3"], level: float, draws: int = 200
+    ) -> Float[np.ndarray, "2 m"]:
+        """Return the ends of the central interval of the modulus of volumes, MPa.
+
+        The modulus of a volume is the geometric mean over its points (mm).
+        """
+        sites = Sites(points, np.zeros(len(points)), (len(points), 1))
+        logs = [self.posterior.field.log_youngs(z, sites) for z in self.samples[:draws]]
+        return np.exp(np.quantile(logs, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0))
+
+    @cached_property
+    def samples(self) -> Float[np.ndarray, "draws size"]:
+        """Samples of the posterior, in standard deviations of the prior of `posterior.field`.
+
+        See `tactorch.inverse.posterior.shapes`.
+        """
+        return self.posterior.samples(_DRAWS)
+
+    @cached_property
+    def inclusions(self) -> list[ShapeInclusion]:
+        """The inclusions with their intervals, those of the largest log-odds first."""
+        inclusions = [
+            self._inclusion(k, shape) for k, shape in enumerate(self.field.shapes(self.z))
+        ]
+        return [inclusions[k] for k in self.order]
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """Numbers of `inclusions` among those of the field."""
+        return tuple(np.argsort(-np.array(self.log_odds), kind="stable").tolist())
+
+    def _inclusion(self, k: int, shape: InclusionShape) -> ShapeInclusion:
+        draws = InclusionValues.of(self.posterior.field, self.samples, k)
+        best = InclusionValues.of(self.field, self.z[None], k)
+        return ShapeInclusion(
+            shape,
+            float(best.youngs_mpa[0]),
+            float(best.background_mpa[0]),
+            tuple(draws.center_mm.std(axis=0).tolist()),
+            _interval(draws.radius_mm),
+            _interval(draws.youngs_mpa),
+            _interval(draws.contrast),
+            float(expit(self.log_odds[k])),
+        )
+
+    def plain(self) -> dict[str, Any]:
+        """Return plain JSON values; the inverse of `of`."""
+        return {
+            **self.field.plain(),
+            "z": self.z.tolist(),
+            "posterior": self.posterior.plain(),
+            "chi2": self.chi2,
+            "log_odds": list(self.log_odds),
+            "log_odds_any": self.log_odds_any,
+            "errors": dict(self.errors),
+            "unexplained": self.unexplained,
+            "history": list(self.history),
+        }
+
+    @staticmethod
+    def of(plain: Mapping[str, Any]) -> "ShapeReconstruction":
+        """Return the result from plain JSON values."""
+        field, errors = ShapeField.of(plain), plain.get("errors")
+        if errors is None:  # of earlier versions; palpations alone have limits of inclusions
+            forces = "forces" if field.prior.outside_mm is None else "smooth_forces"
+            names = {forces: "force_deviation", "pose": "pose_deviation", "rims": "rim_deviation"}
+            errors = {name: level for name, old in names.items() if (level := plain.get(old))}
+        return ShapeReconstruction(
+            field,
+            np.array(plain["z"]),
+            ShapePosterior.of(plain["posterior"]),
+            plain["chi2"],
+            tuple(plain["log_odds"]),
+            plain["log_odds_any"],
+            errors,
+            plain["unexplained"],
+            tuple(plain["history"]),
+        )
+
+
+def _interval(values: Float[np.ndarray, " draws"]) -> Interval:
+    low, high = np.quantile(values, [0.05, 0.95])
+    return Interval(float(low), float(high))

@@ -1,0 +1,392 @@
+"""Discretisation error of the presses at a model, from meshes that are finer where it needs that.
+
+Strains change within a fraction of the radius of a contact at its rim, have a kink at the boundary
+of an inclusion, and are singular where a support ends at an edge. A mesh that is fine at
+all would make each fit slow. Instead the differences of the predictions of finer meshes at
+one model are added to those of the common mesh, as they change little with the model (deferred
+correction: V. Pereyra, "On improving an approximate solution of a functional equation by deferred
+corrections", Numer. Math. 8 (1966), 376-391).
+
+The error at the rim of a contact and that at the inclusions are computed separately, and added: the
+first depends on the model by the moduli at the contact only, and is kept while those remain. The
+second is that of one mesh for all contacts, whose faces follow the inclusions.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from tactorch.fem import NewtonOptions
+from tactorch.fem.transfer import Transfer
+from tactorch.inverse.data.observations import NoiseModel, group_by_contact
+from tactorch.inverse.errors.kept import KeptRims, RimError, press_key
+from tactorch.inverse.fields import InclusionShape, Sites
+from tactorch.inverse.fit.shapes import ShapeFit
+from tactorch.inverse.forward.footprint import loaded_nodes
+from tactorch.inverse.forward.problem import Evaluation, InverseProblem, make_body
+from tactorch.inverse.search.sizing import (
+    Rim,
+    inclusion_sizing,
+    observed_sizing,
+    sharp_edge_sizing,
+    smallest,
+)
+from tactorch.linalg import SOLVERS, SolverOptions, limit_workers, map_cases
+from tactorch.linalg.parallel import worker_count
+from tactorch.linalg.solver import AutoSolver
+from tactorch.mesh import Refinement, refine
+from tactorch.mesh.conform import ClosedSurface, Conforming, conform
+from tactorch.mesh.refine import Sizing
+from tactorch.mesh.sharp_edges import distance_from_sharp_edges
+from tactorch.recording import Recording, prolong_recording
+
+_AT_RIM = 0.1  # longest edge at the rim of a contact, over the contact's radius
+_UNDER_CONTACT = 0.15  # longest edge at the loaded surface, over the contact's radius
+_GROWTH = 0.5  # of the longest edge with the distance from the rim
+# Smallest load of a contact over its largest, between which changes are interpolated.
+_MIN_FACTOR, _MAX_FACTOR = 0.1, 0.8
+_NEAR_EDGE = 0.6  # edge that an inclusion needs at a contact near it, over that of the mesh
+_SAME_MODULI = 0.1  # largest change of log-moduli at a contact that the error at its rim outlasts
+# Equilibria far more accurate than the noise of a sensor, by one or two steps from the common mesh.
+_NEWTON = NewtonOptions(rtol=1e-3)
+_AT_EDGE_MM = 1e-6  # distance of nodes from an edge that they are on
+
+
+class _FinerMesh(NamedTuple):
+    """A mesh that is fine at the inclusions.
+
+    Attributes:
+        contacts: Contacts whose presses are solved on it.
+        sizing: Longest edges.
+        has_rims: Whether it is also fine at the rims of these contacts.
+    """
+
+    contacts: list[int]
+    sizing: Sizing
+    has_rims: bool
+
+
+class _LoadSeries(NamedTuple):
+    """Presses of one contact, which differ by a factor.
+
+    Attributes:
+        factors: Displacement of each press over the largest.
+        ends: Presses of the smallest and largest displacement, or one press.
+    """
+
+    factors: dict[int, float]
+    ends: tuple[int, ...]
+
+    @staticmethod
+    def of(contact: Sequence[int], predicted: Sequence[Float[np.ndarray, " _"]]) -> "_LoadSeries":
+        """Return the presses of a contact, whose factors are projections of predictions."""
+        last = predicted[max(contact, key=lambda i: float(predicted[i] @ predicted[i]))]
+        factors = {i: float(predicted[i] @ last) / float(last @ last) for i in contact}
+        ends = (min(contact, key=factors.__getitem__), max(contact, key=factors.__getitem__))
+        distinct = _MIN_FACTOR < factors[ends[0]] < _MAX_FACTOR
+        return _LoadSeries(factors, ends if distinct else ends[1:])
+
+    def interpolate(
+        self, changes: Mapping[int, Float[np.ndarray, " _"]]
+    ) -> dict[int, Float[np.ndarray, " _"]]:
+        """Return the changes of all presses from those at the ends, which vanish without a load."""
+        *first, last = self.ends
+        slope = changes[last]
+        for i in first:
+            factor = self.factors[i]
+            slope = (changes[i] / factor - factor * changes[last]) / (1.0 - factor)
+        curvature = changes[last] - slope
+        return {i: factor * slope + factor**2 * curvature for i, factor in self.factors.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Differences between the common mesh and finer ones.
+
+    Attributes:
+        recording: Presses on the common mesh.
+        element: Element type.
+        solver: Linear solver of the finer meshes.
+        noise: Standard deviations for presses that do not state theirs.
+        contacts: Presses of each contact, which differ by a factor, and its rim if it has one.
+        kept: Errors at rims, maybe of an earlier search on fewer presses.
+        contact_mpa: Modulus for the stiffness of contacts with probes; None without probes.
+    """
+
+    recording: Recording
+    element: str
+    solver: str | SolverOptions
+    noise: NoiseModel
+    contacts: tuple[tuple[tuple[int, ...], Rim | None], ...]
+    kept: KeptRims = field(default_factory=KeptRims)
+    contact_mpa: float | None = None
+
+    @staticmethod
+    def of(
+        problem: InverseProblem,
+        element: str,
+        solver: str | SolverOptions,
+        kept: KeptRims | None = None,
+    ) -> "Correction":
+        """Return the correction for the contacts of a problem with this element and solver.
+
+        The solver "auto" is multigrid, for few solves on each of several meshes.
+        """
+        if isinstance(SOLVERS.build(solver), AutoSolver):
+            solver = "p_multigrid"
+        recording = problem.recording
+        pairs = []
+        for numbers in group_by_contact(recording.presses, problem.data.observations):
+            pairs.append((numbers, Rim.of(recording.presses[numbers[0]], recording.mesh)))
+        return Correction(
+            recording, element, solver, problem.noise, tuple(pairs), kept or KeptRims(),
+            problem.contact_mpa if recording.has_probes else None,
+        )  # fmt: skip
+
+    @property
+    def has_contacts(self) -> bool:
+        """Whether some contact ends within a face."""
+        return any(rim is not None for _, rim in self.contacts)
+
+    @cached_property
+    def uncertain(self) -> tuple[tuple[tuple[int, ...], Rim], ...]:
+        """Presses of each contact whose traction is uncertain where it ends, and the nodes there.
+
+        Where a contact ends within a face, nodal forces do not determine the traction at its rim.
+        The traction of a sensor, whose gel does not slip, is singular at edges of the body too.
+        """
+        found = []
+        for numbers, rim in self.contacts:
+            press = self.recording.presses[numbers[0]]
+            if press.errors is not None:
+                rim = Rim.at_end(self.recording.mesh, (press.forces != 0.0).any(axis=1))
+            if rim is not None and not rim.of_probe:
+                found.append((numbers, rim))
+        return tuple(found)
+
+    @property
+    def has_singular_ends(self) -> bool:
+        """Whether the contact of a sensor ends at an edge of the body."""
+        mesh, distance = self.recording.mesh, distance_from_sharp_edges(self.recording.mesh)
+        sensors = [r for n, r in self.uncertain if self.recording.presses[n[0]].errors is not None]
+        return any((distance(mesh.points[rim.nodes]) <= _AT_EDGE_MM).any() for rim in sensors)
+
+    def offsets(
+        self, fit: ShapeFit, evaluation: Evaluation, check: Callable[[], None] = lambda: None
+    ) -> list[Float[np.ndarray, " p"]]:
+        """Return the predictions of the finer meshes less those of the common one, each press (mm).
+
+        Those of the smallest and largest load of each contact are computed, and interpolated for
+        the others.
+
+        Args:
+            fit: Model.
+            evaluation: Its predictions on the common mesh.
+            check: Called before each mesh and each equilibrium; what it raises ends the correction.
+
+        Raises:
+            ConvergenceError: a press has no equilibrium on its finer mesh.
+            ConfigError: a finer mesh has too many elements.
+        """
+        model = _Model(fit, evaluation)
+        every = [_LoadSeries.of(numbers, model.predicted) for numbers, _ in self.contacts]
+        meshes, rims = self._plan(model.shapes)
+
+        jobs: list[Callable[[], dict[int, np.ndarray]]] = [
+            partial(self._rim_error, model, k, every[k], check) for k in rims
+        ]
+        for mesh in meshes:
+            chosen = [every[k] for k in mesh.contacts]
+            jobs.append(partial(self._inclusion_error, model, mesh, chosen, check))
+        offsets = [np.zeros_like(values) for values in model.predicted]
+        for changes in map_cases(lambda k: jobs[k](), len(jobs)):
+            for series in every:
+                if changes.keys() >= set(series.ends):
+                    for i, change in series.interpolate(changes).items():
+                        offsets[i] += change
+        return offsets
+
+    def _plan(self, shapes: Sequence[InclusionShape]) -> tuple[list[_FinerMesh], list[int]]:
+        """Return the meshes that are fine at the inclusions, and the contacts with rim errors.
+
+        A contact near an inclusion, which needs smaller elements there, has a mesh that is also
+        fine at its rim. Contacts with a rim are not observed where supported faces end.
+        """
+        mesh, presses = self.recording.mesh, self.recording.presses
+        observed = np.logical_or.reduce(
+            [press.observed.any(axis=1) | loaded_nodes(press, mesh) for press in presses]
+        )
+        at_inclusions = inclusion_sizing(shapes)
+        between = observed_sizing(mesh.points[observed], shapes)
+        whole = [k for k, (_, rim) in enumerate(self.contacts) if rim is None]
+        at_whole = smallest(at_inclusions, between, sharp_edge_sizing(mesh))
+        plan = [_FinerMesh(whole, at_whole, False)]
+        far = []
+        for k, (_, rim) in enumerate(self.contacts):
+            if rim is not None:
+                if between is not None and self._is_near(k, between):
+                    at_rim = rim.sizing(_AT_RIM, _GROWTH, _UNDER_CONTACT)
+                    sizing = smallest(at_inclusions, between, at_rim)
+                    plan.append(_FinerMesh([k], sizing, True))
+                else:
+                    far.append(k)
+        plan.append(_FinerMesh(far, at_inclusions, False))
+        return [finer for finer in plan if finer.contacts], far
+
+    def _is_near(self, k: int, between: Sizing) -> bool:
+        """Whether an inclusion needs edges at contact k much shorter than those of the mesh."""
+        loaded = self._loaded(k)
+        mesh = self.recording.mesh
+        ends = mesh.points[mesh.edges[loaded[mesh.edges].all(axis=1)]]
+        if not len(ends):
+            return False
+        lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+        return bool((between(ends.mean(axis=1)) / lengths).min() < _NEAR_EDGE)
+
+    def _loaded(self, k: int) -> Bool[np.ndarray, " n"]:
+        """Nodes that contact k loads."""
+        return loaded_nodes(self.recording.presses[self.contacts[k][0][0]], self.recording.mesh)
+
+    def _inclusion_error(
+        self,
+        model: "_Model",
+        finer: _FinerMesh,
+        every: Sequence[_LoadSeries],
+        check: Callable[[], None],
+    ) -> dict[int, Float[np.ndarray, " _"]]:
+        """Return the changes of the data by a mesh whose faces follow the inclusions, mm."""
+        refinement = refine(self.recording.mesh, finer.sizing)
+        if not len(refinement.ends):
+            return {}
+        conforming = model.conforming(refinement)
+        # Where rims have separate errors, these include that of the traction.
+        fine = prolong_recording(
+            self.recording, conforming.refinement, smooth_tractions=finer.has_rims
+        )
+        fine = replace(fine, mesh=conforming.mesh)
+        youngs = partial(model.youngs_beside, conforming.sides)
+        return self._changes(model, fine, youngs, every, check)
+
+    def _rim_error(
+        self, model: "_Model", k: int, series: _LoadSeries, check: Callable[[], None]
+    ) -> dict[int, Float[np.ndarray, " _"]]:
+        """Return the error at the rim of contact k, mm; a former one where the moduli remain."""
+        presses, mesh = self.recording.presses, self.recording.mesh
+        rim = self.contacts[k][1]
+        assert rim is not None
+        key = press_key(self.recording, [presses[i] for i in series.ends])
+        log_youngs = model.log_youngs_at(mesh.points[self._loaded(k)])
+        kept = self.kept.errors.get(key)
+        if kept is None or np.abs(kept.log_youngs - log_youngs).max() > _SAME_MODULI:
+            check()
+            refinement = refine(mesh, rim.sizing(_AT_RIM, _GROWTH, _UNDER_CONTACT))
+            changes = {i: np.zeros_like(model.predicted[i]) for i in series.ends}
+            if len(refinement.ends):
+                fine = prolong_recording(self.recording, refinement, smooth_tractions=True)
+                changes = self._changes(model, fine, model.youngs, [series], check)
+            kept = RimError(log_youngs, tuple(changes[i] for i in series.ends))
+            self.kept.errors[key] = kept
+        return dict(zip(series.ends, kept.changes, strict=True))
+
+    def _changes(
+        self,
+        model: "_Model",
+        fine: Recording,
+        youngs_of: Callable[[Sites], Float[np.ndarray, "m q"]],
+        every: Sequence[_LoadSeries],
+        check: Callable[[], None],
+    ) -> dict[int, Float[np.ndarray, " _"]]:
+        """Return the changes of the data of the presses at the ends of each series, mm.
+
+        Args:
+            model: The model.
+            fine: The presses on a finer mesh.
+            youngs_of: Moduli (MPa) at its quadrature points.
+            every: The series.
+            check: See `offsets`.
+        """
+        body = make_body(fine, self.element, self.solver, _NEWTON)
+        youngs = youngs_of(Sites.of(body.assembly))
+        displacements = model.evaluation.displacements
+        common = model.evaluation.search(0).assembly.discretisation
+        transfer = Transfer.between(common, body.discretisation.positions)
+
+        def solve(chain: Sequence[_LoadSeries]) -> dict[int, np.ndarray]:
+            """Solve presses one after the other, each with the multigrid cycle of the last."""
+            found: dict[int, np.ndarray] = {}
+            near = None
+            for series in chain:
+                change = np.zeros((body.n_nodes, 3))
+                for i in series.ends:
+                    check()
+                    one = replace(fine, presses=(fine.presses[i],))
+                    problem = InverseProblem(
+                        one, body=body, noise=self.noise, contact_mpa=self.contact_mpa
+                    )
+                    start = transfer(displacements[i])
+                    first = start + series.factors[i] * change
+                    near = problem.evaluate(youngs, near, take_over=True, starts=[first])
+                    change = (near.displacements[0] - start) / series.factors[i]
+                    found[i] = near.predicted[0] - model.predicted[i]
+            return found
+
+        # Where the contacts do not divide evenly, one thread more keeps all cores busy to the end.
+        cores = worker_count()
+        count = min(cores + (len(every) % cores > 0), len(every))
+        chains = [every[k::count] for k in range(count)]
+        with limit_workers(max(cores, count)):
+            parts = map_cases(lambda k: solve(chains[k]), count)
+        return {i: values for found in parts for i, values in found.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """A model and its predictions on the common mesh."""
+
+    fit: ShapeFit
+    evaluation: Evaluation
+
+    @cached_property
+    def shapes(self) -> list[InclusionShape]:
+        """The inclusions."""
+        return list(self.fit.field.shapes(self.fit.z))
+
+    @property
+    def predicted(self) -> list[Float[np.ndarray, " _"]]:
+        """Predictions of each press."""
+        return self.evaluation.predicted
+
+    def log_youngs_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        """Return the logarithm of the modulus (MPa) at points (mm)."""
+        return np.asarray(self.fit.field.log_youngs(self.fit.z, Sites.at(points)))
+
+    def conforming(self, refinement: Refinement) -> Conforming:
+        """Return a mesh whose faces follow the inclusions."""
+        volumes = [4.0 / 3.0 * np.pi * shape.radius_mm**3 for shape in self.shapes]
+        pairs = zip(self.shapes, volumes, strict=True)
+        return conform(refinement, [ClosedSurface(s.distance, volume) for s, volume in pairs])
+
+    def youngs(self, sites: Sites) -> Float[np.ndarray, "m q"]:
+        """Return the moduli (MPa) at quadrature points of elements that boundaries may cross."""
+        return np.exp(self.fit.field.log_youngs(self.fit.z, sites)).reshape(sites.shape)
+
+    def youngs_beside(
+        self, sides: Int[np.ndarray, "shapes m"], sites: Sites
+    ) -> Float[np.ndarray, "m q"]:
+        """Return the moduli (MPa) at quadrature points of elements on one side of each inclusion.
+
+        Args:
+            sides: Side of each inclusion on which each element is, see `Conforming`.
+            sites: Quadrature points.
+        """
+        fractions = []
+        for shape, side in zip(self.shapes, sides, strict=True):
+            fraction, crossed = (side < 0).astype(np.float64), np.flatnonzero(side == 0)
+            fraction[crossed] = sites.fraction_inside(shape, crossed)
+            fractions.append(fraction)
+        field, z = self.fit.field, self.fit.z
+        return np.exp(field.log_youngs(z, sites, fractions)).reshape(sites.shape)

@@ -1,0 +1,126 @@
+"""The posterior of a final model, with ridges where radius and contrast are uncertain."""
+
+import logging
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.errors import ConvergenceError
+from tactorch.inverse.fields import SIZE
+from tactorch.inverse.fit.shapes import ShapesOnSites
+from tactorch.inverse.posterior.ridges import Ridge, RidgePoint
+from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.search.model import MIN_GAIN, Model, Start, as_judged, gain, make_posterior
+from tactorch.inverse.search.problem import ShapeProblem
+
+_log = logging.getLogger(__name__)
+# Smallest standard deviations of the logarithms of radius and contrast with which the posterior is
+# taken about the ridge.
+_MIN_DEVIATION = np.array([0.05, 0.1])
+_TOLERANCE = 0.1  # of the fit whose posterior it is
+_MAX_POINTS = 6  # on each side of the best fit
+# Predicted fall of the objective below which a point of a ridge is not fitted further: the
+# predicted optimum is right within a tenth then.
+_RIDGE_TOLERANCE = 5.0
+_RISE = 2.0  # of half the sum of squares from one point of a ridge to the next
+_MAX_RISE = 2.5  # at the last points; that of the ends of a central 90 % interval is 1.35
+_MAX_STEP, _MIN_STEP = 0.6, 0.01  # of a parameter, in standard deviations of its prior
+
+
+def final_posterior(problem: ShapeProblem, model: Model) -> tuple[Model, ShapePosterior]:
+    """Return the posterior of a final model, and the model or one of more evidence.
+
+    The posterior is that of balls that may be ellipsoids, at its best fit, which is accepted as the
+    model if its evidence is larger by enough. Where radius or contrast of an inclusion are
+    uncertain, the posterior is about its ridge.
+    """
+    try:
+        free = _with_ellipsoids(problem, model)
+        if free is not model and gain(free.fit, model.fit) > MIN_GAIN:
+            _log.info("balls as ellipsoids: log-evidence %+.4g", gain(free.fit, model.fit))
+            model = free = problem.final(free)
+    except ConvergenceError as error:
+        _log.warning("The posterior is linearised at balls, as ellipsoids fail: %s", error)
+        free = model
+    posterior = make_posterior(free, problem.sites)
+    if free.fit.field.families != posterior.field.families:
+        return model, posterior
+    uncertain = [k for k in range(len(posterior.field.parts)) if _is_uncertain(posterior, k)]
+    ridges = tuple(follow_ridge(problem, free, k) for k in uncertain)
+    return model, replace(posterior, ridges=ridges)
+
+
+def follow_ridge(problem: ShapeProblem, model: Model, inclusion: int) -> Ridge:
+    """Return the posterior about the ridge of an inclusion of a model.
+
+    It is followed from the model to both sides, to where the density has fallen by a factor of
+    twelve, a press has no equilibrium, or a parameter is at its bound.
+    """
+    field, z = model.fit.field, model.fit.z
+    radius, contrast = field.index(inclusion, *SIZE)
+    direction = np.zeros(len(z))
+    direction[[radius, contrast]] = 1.0, -1.0 if field.physical(z)[contrast] > 0.0 else 1.0
+    direction /= np.sqrt(2.0)
+    inflation = max(1.0, model.fit.chi2)
+    start = _point(model, direction, inflation)
+    others = [
+        point
+        for sign in (-1.0, 1.0)
+        for point in _one_side(problem, model, start, direction, sign, inflation)
+    ]
+    return Ridge.through(start, others, inclusion, direction)
+
+
+def _is_uncertain(posterior: ShapePosterior, inclusion: int) -> bool:
+    rows = posterior.field.index(inclusion, *SIZE)
+    deviations = np.sqrt(np.diag(posterior.covariance)) * posterior.field.deviation
+    return bool((deviations[rows] > _MIN_DEVIATION).any())
+
+
+def _with_ellipsoids(problem: ShapeProblem, model: Model) -> Model:
+    """Return the model fitted with all balls as ellipsoids."""
+    field, z = as_judged(model.fit.field, model.fit.z)
+    if field is model.fit.field:
+        return model
+    start = Start("balls as ellipsoids", field, z, model.errors)
+    # An ellipsoid without distortions is the ball.
+    return problem.fit(start, None, _TOLERANCE, evaluation=model.evaluation)
+
+
+def _one_side(
+    problem: ShapeProblem,
+    model: Model,
+    point: RidgePoint,
+    direction: Float[np.ndarray, " size"],
+    sign: float,
+    inflation: float,
+) -> Iterator[RidgePoint]:
+    """Yield points of larger t (sign 1) or smaller t (sign -1)."""
+    field, lowest = model.fit.field, point.height
+    limits = ShapesOnSites(field, problem.sites).limits
+    for _ in range(_MAX_POINTS):
+        step = point.step(sign, _RISE)
+        step /= max(1.0, float(np.abs(step).max()) / _MAX_STEP)
+        z = np.clip(field.moved(point.z, step), *limits)
+        if sign * float(direction @ (z - point.z)) < _MIN_STEP:
+            return  # at a bound
+        start = Start("ridge", field, z, model.errors)
+        try:
+            predicted = problem.displacements(model, z)
+            model = problem.fit(start, predicted, tolerance=_RIDGE_TOLERANCE, held=direction)
+        except ConvergenceError:
+            return
+        before, point = point, _point(model, direction, inflation)
+        if sign * float(direction @ (point.z - before.z)) < _MIN_STEP:
+            return
+        yield point
+        lowest = min(lowest, point.height)
+        if point.height - lowest > _MAX_RISE:
+            return
+
+
+def _point(model: Model, direction: Float[np.ndarray, " size"], inflation: float) -> RidgePoint:
+    fit, scale = model.fit, np.sqrt(inflation)
+    return RidgePoint.of(fit.z, fit.residuals / scale, fit.jacobian / scale, direction)

@@ -1,0 +1,197 @@
+"""Models of the search for shapes: fields with errors of the data, and what follows from them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.inverse.data.observations import DataModel
+from tactorch.inverse.errors import Levels
+from tactorch.inverse.fields import FAMILIES, SIZE, Candidate, Family, ShapeField, Sites
+from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites
+from tactorch.inverse.forward.palpation import contacts_of
+from tactorch.inverse.forward.predictions import Predictions
+from tactorch.inverse.forward.problem import Evaluation
+from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.result.shapes import ShapeReconstruction
+from tactorch.inverse.search.held_out import held_out_score
+from tactorch.recording import Recording
+
+MIN_GAIN = 3.0  # of the log-evidence, for a model that is accepted
+DEGREES = (2, 4)  # of smooth backgrounds
+# Smallest linearised reduction of the misfit that is worth a fit: the best of a few hundred balls
+# reduces that of pure noise by six or so.
+MIN_CANDIDATE_GAIN = 8.0
+MAX_LOG_ODDS = 1e6  # where the model without an inclusion has no equilibrium
+_START_CONTRAST = (0.3, 1.5)  # range of the log-contrast of a start
+_MAX_START_CONTRAST = 1.0  # log-contrast of a start with quadratic elements
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A model to be fitted."""
+
+    what: str
+    field: ShapeField
+    z: Float[np.ndarray, " size"]
+    errors: Levels
+
+
+class Trial(NamedTuple):
+    """Evidence of a model that is fitted with linear elements, or to linearised predictions."""
+
+    chi2: float
+    misfit: float
+    complexity: float  # the negative log-evidence but for the misfit
+
+    def log_evidence(self, inflation: float) -> float:
+        """Return the log-evidence where the variance of the noise is `inflation` times as large."""
+        return -self.misfit / inflation - self.complexity
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal(Start):
+    """A model with the evidence of its trial."""
+
+    trial: Trial
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A model fitted with quadratic elements."""
+
+    fit: ShapeFit
+    evaluation: Evaluation
+    errors: Levels
+
+
+def gain(fit: ShapeFit, rival: ShapeFit) -> float:
+    """Return the log-evidence of a fit over that of another one.
+
+    They are compared at the noise of the one that explains the data better, but at least at the
+    stated noise.
+    """
+    inflation = max(1.0, min(fit.chi2, rival.chi2))
+    return fit.log_evidence(inflation) - rival.log_evidence(inflation)
+
+
+def falls_short(fit: ShapeFit, fall: float, rival: ShapeFit, margin: float = 0.0) -> bool:
+    """Return whether a fit will have less evidence than another one.
+
+    Args:
+        fit: The fit.
+        fall: Largest fall of the objective that is expected of it.
+        rival: The other one.
+        margin: Log-evidence by which it will have less.
+    """
+    misfit = max(0.0, fit.misfit - fall)
+    best = replace(fit, misfit=misfit, chi2=2.0 * misfit / len(fit.residuals))
+    return gain(best, rival) < -margin
+
+
+def record(what: str, fit: ShapeFit) -> dict[str, Any]:
+    """Return the record of an accepted model for the history of a search."""
+    evidence = fit.log_evidence(max(1.0, fit.chi2))
+    return {"model": what, "chi2": fit.chi2, "log_evidence": evidence}
+
+
+def unexplained(fit: ShapeFit, data: DataModel) -> float:
+    """Return the root mean square of the residuals beyond their noise, over the data's."""
+    observed = np.concatenate([o.values for o in data.observations]) * data.scale
+    return float(np.sqrt(max(fit.chi2 - 1.0, 0.0) / np.mean(observed**2)))
+
+
+def with_predictions(
+    result: ShapeReconstruction, model: Model, recording: Recording
+) -> ShapeReconstruction:
+    """Return a result with the predictions of its model, also of held-out contacts.
+
+    The model may be on a refinement of the recording's mesh.
+    """
+    fit, data = model.fit, model.evaluation.data
+    contacts = contacts_of(recording, data.observations)
+    score = held_out_score(data, contacts, fit.residuals, fit.jacobian, fit.covariance)
+    predictions = Predictions.of(model.evaluation, recording)
+    return replace(result, predictions=predictions, held_out=score)
+
+
+def make_posterior(model: Model, sites: Sites) -> ShapePosterior:
+    """Return the posterior of a model, where balls may be ellipsoids.
+
+    The data of a ball's evidence do not exclude an ellipsoid, whose modulus and size are less
+    certain, and differ. The model is linearised at the balls.
+    """
+    fit = model.fit
+    field, z = as_judged(fit.field, fit.z)
+    inflation = max(1.0, fit.chi2)
+    jacobian = fit.jacobian
+    if field is not fit.field:
+        jacobian = ShapesOnSites(field, sites).at(z).jacobian(model.evaluation)
+    covariance = np.linalg.inv(jacobian.T @ jacobian / inflation + np.eye(len(z)))
+    gradient = jacobian.T @ fit.residuals / inflation + z
+    return ShapePosterior(field, z, -covariance @ gradient, covariance)
+
+
+def with_ball(
+    fit: ShapeFit, candidate: Candidate
+) -> tuple[str, ShapeField, Float[np.ndarray, " size"]]:
+    """Return the description, field and parameters of a model with a further ball or rod."""
+    size = np.clip(abs(candidate.log_contrast), *_START_CONTRAST)
+    candidate = candidate._replace(log_contrast=float(np.copysign(size, candidate.log_contrast)))
+    births = ((FAMILIES[name], FAMILIES[name].birth(candidate)) for name in FAMILIES)
+    family, inclusion = next((family, own) for family, own in births if own is not None)
+    field = replace(fit.field, families=(*fit.field.families, family))
+    z = field.standard(np.concatenate([fit.field.physical(fit.z), inclusion]))
+    kind = "rod" if candidate.half_mm.any() else "ball"
+    return f"{kind} at {np.round(candidate.center_mm, 1).tolist()} mm", field, z
+
+
+def varied(
+    field: ShapeField, z: Float[np.ndarray, " size"], **background: Any
+) -> tuple[ShapeField, np.ndarray]:
+    """Return the model with more modes of the background, which start at zero."""
+    return field.changed(z, background=replace(field.background, **background))
+
+
+def without(
+    field: ShapeField, z: Float[np.ndarray, " size"], removed: Sequence[int]
+) -> tuple[ShapeField, np.ndarray]:
+    """Return the model without some of its inclusions."""
+    kept, values = [k for k in range(len(field.parts)) if k not in removed], field.physical(z)
+    fewer = replace(field, families=tuple(field.families[k] for k in kept))
+    parts = [values[: field.n_background], *(values[field.parts[k]] for k in kept)]
+    return fewer, fewer.standard(np.concatenate(parts))
+
+
+def with_family(
+    field: ShapeField, z: Float[np.ndarray, " size"], inclusion: int, family: Family
+) -> tuple[ShapeField, np.ndarray]:
+    """Return the model with an inclusion of another family, whose further parameters are zero."""
+    families = list(field.families)
+    families[inclusion] = family
+    return field.changed(z, families=tuple(families))
+
+
+def as_judged(field: ShapeField, z: Float[np.ndarray, " size"]) -> tuple[ShapeField, np.ndarray]:
+    """Return the model with inclusions of the families by which their posterior is computed."""
+    families = tuple(FAMILIES[family.judged_as] for family in field.families)
+    return (field, z) if families == field.families else field.changed(z, families=families)
+
+
+def moderate(field: ShapeField, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+    """Return the model with the last ball of moderate contrast and of the same far field.
+
+    A ball in a uniform strain acts from afar by its volume times (c - 1) / (c + 3/2), with c its
+    contrast (Eshelby, 1957, for nearly incompressible bodies). Where the contrast is large the
+    data hardly depend on it, and the steps of a fit become small.
+    """
+    values = field.physical(z)
+    radius, contrast = field.index(-1, *SIZE)
+    log = np.clip(values[contrast], -_MAX_START_CONTRAST, _MAX_START_CONTRAST)
+    old, new = ((np.exp(x) - 1.0) / (np.exp(x) + 1.5) for x in (values[contrast], log))
+    if old != new:
+        values[radius] += np.log(old / new) / 3.0
+        values[contrast] = log
+    return field.standard(values)

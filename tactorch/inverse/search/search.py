@@ -1,0 +1,200 @@
+"""The search for inclusions: proposals by linear elements, decisions by quadratic ones.
+
+A model is a background, uniform, smooth or layered, with a number of balls and ellipsoids, and
+deviations of the recorded forces and poses. From a model others follow: with a further ball where a
+matched filter sees one in the residuals, with a background of more modes, with a ball as an
+ellipsoid, or with larger errors of the forces or poses. Each is fitted with linear elements, whose
+data are shifted so that they agree with quadratic elements at the present model. They are then
+fitted with quadratic elements, the best first, and the first that raises the evidence enough is
+accepted.
+"""
+
+import logging
+from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
+from typing import Any
+
+from tactorch.config.registry import unknown_choice
+from tactorch.errors import CancelledError, ConfigError, ConvergenceError
+from tactorch.inverse.errors import ERRORS
+from tactorch.inverse.errors.kept import KeptRims
+from tactorch.inverse.fit.settings import Settings
+from tactorch.inverse.forward.palpation import is_palpation
+from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
+from tactorch.inverse.search.final_posterior import final_posterior
+from tactorch.inverse.search.model import (
+    MAX_LOG_ODDS,
+    MIN_GAIN,
+    Model,
+    Proposal,
+    Start,
+    gain,
+    record,
+    unexplained,
+    with_predictions,
+    without,
+)
+from tactorch.inverse.search.palpation import find_palpation_shapes
+from tactorch.inverse.search.problem import ShapeProblem, is_same_model
+from tactorch.inverse.search.proposals import propose
+from tactorch.inverse.search.sizing import refined_at_contacts
+from tactorch.progress import progress_line
+from tactorch.recording import Recording
+
+_log = logging.getLogger(__name__)
+_MAX_SHAPES = 4
+_MAX_MODELS = 10  # one after the other
+_MAX_FITS = 3  # with quadratic elements, of proposals from one model
+
+
+def find_shapes(
+    recording: Recording,
+    settings: Settings | None = None,
+    *,
+    max_shapes: int = _MAX_SHAPES,
+    start: ShapeReconstruction | ShapeState | None = None,
+    stop: Callable[[], bool] = lambda: False,
+    kept: KeptRims | None = None,
+    errors: Collection[str] = (),
+) -> ShapeReconstruction:
+    """Find the inclusions that the presses determine, with the number that the evidence supports.
+
+    The truth and the reference that a recording may carry are never read.
+
+    Args:
+        recording: Presses on an object.
+        settings: Noise, solver, bounds and equilibrium search are used. Elements are quadratic, and
+            smaller than those of the recording at the rims of contacts, and predictions are
+            corrected by finer meshes there and at inclusions, unless the provenance states that the
+            presses were computed on the recording's mesh.
+        max_shapes: Largest number of inclusions.
+        start: Result for other presses on the object, such as the earlier ones of a session, or
+            what a search had `reached` that was stopped, from whose model the search starts; by
+            default, and from a model without inclusions, it starts from a uniform body.
+        stop: Called before each step of a fit; where it is true the search raises `CancelledError`,
+            whose `reached` is the last accepted model, if there is one.
+        kept: What searches on growing presses of an object share: errors at the rims of contacts,
+            which are computed for contacts that it does not have.
+        errors: Names of errors that are taken into account on request: "shift", of the contacts
+            along the surface.
+
+    Raises:
+        CancelledError: see `stop`.
+        ConfigError: a setting cannot be used.
+        ConvergenceError: with no uniform modulus do all presses have an equilibrium, or linear
+            elements have none where quadratic ones have.
+    """
+    settings = settings or Settings()
+    known = [error.name for error in ERRORS]
+    for name in set(errors) - set(known):
+        raise ConfigError(unknown_choice("errors", name, known))
+    if is_palpation(recording):
+        return find_palpation_shapes(
+            recording, settings, max_shapes=max_shapes, max_models=_MAX_MODELS, stop=stop
+        )
+    refined = recording if is_same_model(recording) else refined_at_contacts(recording)
+    with progress_line("search for inclusions") as update:
+        update("elements at the contacts")
+        problem = ShapeProblem(refined, settings, stop, kept, errors)
+        model, result = _search(problem, start, max_shapes, update)
+        return with_predictions(result, model, recording)
+
+
+def _search(
+    problem: ShapeProblem,
+    start: ShapeReconstruction | ShapeState | None,
+    max_shapes: int,
+    update: Callable[[str], None],
+) -> tuple[Model, ShapeReconstruction]:
+    """Accept models of more evidence until there is none; return the last one, and the result."""
+    update("first model")
+    model, history = _first(problem, start)
+    try:
+        for number in range(2, _MAX_MODELS + 2):
+            update(f"model {number}, predictions of proposals")
+            proposals = propose(problem, model, max_shapes)
+            update(f"model {number}")
+            if (accepted := _accept(problem, model, proposals)) is None:
+                break
+            proposal, model = accepted
+            model = problem.precise(model)
+            history.append(record(proposal.what, model.fit))
+        update("final fit")
+        model = _final(problem, model)
+        update("posterior")
+        best, posterior = final_posterior(problem, model)
+        if best is not model:
+            history.append(record("balls as ellipsoids", best.fit))
+        return best, _result(problem, best, posterior, history)
+    except CancelledError as error:
+        error.reached = ShapeState(model.fit.field, model.fit.z, model.errors)
+        raise
+
+
+def _final(problem: ShapeProblem, model: Model) -> Model:
+    """Return the model fitted closely, or as it is where this fails."""
+    try:
+        return problem.final(model)
+    except ConvergenceError as error:
+        _log.warning("The last fit fails, and the model is that of the search: %s", error)
+        return model
+
+
+def _result(
+    problem: ShapeProblem, model: Model, posterior: ShapePosterior, history: list[dict[str, Any]]
+) -> ShapeReconstruction:
+    fit = model.fit
+    history.append(record("final fit", fit))
+    _log.info("final fit: chi2 %.4g", fit.chi2)
+    return ShapeReconstruction(
+        fit.field, fit.optimum, posterior, fit.chi2,
+        *_log_odds(problem, model), model.errors, unexplained(fit, problem.quadratic.data),
+        tuple(history),
+    )  # fmt: skip
+
+
+def _first(
+    problem: ShapeProblem, before: ShapeReconstruction | ShapeState | None
+) -> tuple[Model, list[dict[str, Any]]]:
+    """Fit the model of an earlier result, or where there is none a uniform body."""
+    what, model = "uniform", None
+    # A background that varies, found of few presses, would hide the inclusion that more show.
+    if before is not None and before.field.families:
+        start = problem.continued(before)
+        try:
+            what, model = start.what, problem.first(start)
+        except ConvergenceError as error:
+            _log.info("%s fails, and the search starts from a uniform body: %s", start.what, error)
+    model = model or problem.uniform()
+    _log.info("%s: chi2 %.4g", what, model.fit.chi2)
+    return model, [record(what, model.fit)]
+
+
+def _accept(
+    problem: ShapeProblem, model: Model, proposals: list[Proposal]
+) -> tuple[Proposal, Model] | None:
+    """Fit proposals with quadratic elements until one has more evidence than the model."""
+    for proposal in proposals[:_MAX_FITS]:
+        with suppress(ConvergenceError), progress_line(proposal.what):
+            trial = problem.challenge(proposal, model)
+            change = gain(trial.fit, model.fit)
+            _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)
+            if change > MIN_GAIN:
+                return proposal, trial
+    return None
+
+
+def _log_odds(problem: ShapeProblem, model: Model) -> tuple[tuple[float, ...], float]:
+    """Return the log-evidence of a model over those without an inclusion, or without any."""
+    fit, offsets = model.fit, problem.offsets(model)
+    inflation, count = max(1.0, fit.chi2), len(fit.field.parts)
+
+    def over(removed: Sequence[int]) -> float:
+        start = Start(f"without {removed}", *without(fit.field, fit.z, removed), model.errors)
+        trial, _ = problem.try_model(start, offsets)
+        odds = fit.log_evidence(inflation) - trial.log_evidence(inflation)
+        return min(odds, MAX_LOG_ODDS)
+
+    each = tuple(over([k]) for k in range(count))
+    return each, (each[0] if count == 1 else over(range(count)) if count else 0.0)

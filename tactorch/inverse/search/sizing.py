@@ -1,0 +1,214 @@
+"""Edge lengths that the presses, the boundaries of inclusions and edges of the body need."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from tactorch.inverse.fields import InclusionShape
+from tactorch.inverse.forward.footprint import Footprint, loaded_nodes
+from tactorch.mesh import TetMesh
+from tactorch.mesh.refine import Sizing
+from tactorch.mesh.sharp_edges import distance_from_sharp_edges
+from tactorch.recording import Press, Recording, refine_recording
+
+_PER_RADIUS = 0.5  # longest edge at the boundary of an inclusion, over its radius
+_GROWTH = 0.25  # of the longest edge with the distance from the boundary
+_PER_GAP = 0.25  # longest edge at the observed surface, over its distance from an inclusion
+_GAP_GROWTH = 0.5  # of the longest edge with the distance from the surface
+_NEAR = 2.0  # largest distance of the surface from an inclusion, over the inclusion's radius
+_MIN_GAP = 0.5  # smallest distance that edges follow, over the inclusion's radius
+_PER_SIZE = 0.06  # longest edge at a sharp edge, over the body's size
+_SHARP_GROWTH = 1.0  # of the longest edge with the distance from a sharp edge
+_PER_CONTACT = 0.5  # longest edge at the rim of a contact, over the contact's radius
+_PER_TRIANGLE = 4  # divisions of the edges of loaded triangles into points of the loaded surface
+_MIN_COSINE = 0.8  # between normals, where the surface goes on across a rim
+
+
+def inclusion_sizing(inclusions: Sequence[InclusionShape]) -> Sizing:
+    """Return the longest edges (mm) at points (mm): short near boundaries of inclusions.
+
+    The strain around an inclusion changes with the third power of the distance.
+    """
+
+    def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+        lengths = np.full(len(points), np.inf)
+        for shape in inclusions:
+            longest = _PER_RADIUS * shape.radius_mm + _GROWTH * np.abs(shape.distance(points))
+            lengths = np.minimum(lengths, longest)
+        return lengths
+
+    return sizing
+
+
+def observed_sizing(
+    observed: Float[np.ndarray, "n 3"], inclusions: Sequence[InclusionShape]
+) -> Sizing | None:
+    """Return the longest edges (mm) at points (mm): short where the surface is near inclusions.
+
+    Args:
+        observed: Observed points of the surface, mm.
+        inclusions: Inclusions of the model.
+
+    Returns:
+        The longest edges; None where no inclusion is near.
+    """
+    gaps, near = np.full(len(observed), np.inf), np.zeros(len(observed), dtype=bool)
+    for shape in inclusions:
+        distances = np.abs(shape.distance(observed))
+        near |= distances < _NEAR * shape.radius_mm
+        gaps = np.minimum(gaps, np.maximum(distances, _MIN_GAP * shape.radius_mm))
+    if not near.any():
+        return None
+    tree, gaps = cKDTree(observed[near]), gaps[near]
+
+    def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+        distances, nearest = tree.query(points)
+        return np.asarray(_PER_GAP * gaps[nearest] + _GAP_GROWTH * distances)
+
+    return sizing
+
+
+def sharp_edge_sizing(mesh: TetMesh) -> Sizing:
+    """Return the longest edges (mm) at points (mm): short at sharp edges of the body.
+
+    Strains are singular where a supported face ends at an edge.
+    """
+    distance = distance_from_sharp_edges(mesh)
+    shortest = _PER_SIZE * float(np.cbrt(mesh.volumes.sum()))
+    return lambda points: shortest + _SHARP_GROWTH * distance(points)
+
+
+def smallest(*sizings: Sizing | None) -> Sizing:
+    """Return the shortest of longest edges, of which None is no limit."""
+    limits = [sizing for sizing in sizings if sizing is not None]
+    return lambda points: np.minimum.reduce([sizing(points) for sizing in limits])
+
+
+def contact_sizing(recording: Recording) -> Sizing:
+    """Return the longest edges (mm) at points (mm): short at rims of contacts, and under probes.
+
+    The traction ends at the rim, where strains change within a fraction of the contact's radius,
+    which is that of a disc of the area of the loaded surface triangles. Contacts that end at an
+    edge of the body have no rim there.
+    """
+    rims: dict[bytes, Rim | None] = {}
+    for press in recording.presses:
+        key = (press.forces != 0).any(axis=1).tobytes() + press.geometry_bytes()
+        if key not in rims:
+            rims[key] = Rim.of(press, recording.mesh)
+
+    def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+        lengths = np.full(len(points), np.inf)
+        for rim in rims.values():
+            if rim is not None:
+                longest = _PER_CONTACT * rim.radius_mm
+                for tree in (rim.tree, rim.inside) if rim.of_probe else (rim.tree,):
+                    near = tree.query(points)[0] < longest
+                    lengths[near] = np.minimum(lengths[near], longest)
+        return lengths
+
+    return sizing
+
+
+def refined_at_contacts(recording: Recording) -> Recording:
+    """Return the presses on a mesh that is fine enough at the rims of contacts for fits."""
+    return refine_recording(recording, contact_sizing(recording), smooth_tractions=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Rim:
+    """Where the load of a contact ends and the surface goes on.
+
+    Attributes:
+        nodes: Loaded nodes beside which the surface goes on without load.
+        tree: Their positions, mm.
+        inside: Points of the loaded surface triangles, mm.
+        radius_mm: Radius of a disc of the area of the loaded surface triangles.
+        of_probe: Whether a probe loads it, so that its traction is a result.
+    """
+
+    nodes: Int[np.ndarray, " k"]
+    tree: cKDTree
+    inside: cKDTree
+    radius_mm: float
+    of_probe: bool = False
+
+    @staticmethod
+    def of(press: Press, mesh: TetMesh) -> "Rim | None":
+        """Return the rim of a press; None where it ends at edges of the body.
+
+        A probe that touches the whole width of a face has a rim there too.
+        """
+        if press.probe is None:
+            return Rim.around(mesh, (press.forces != 0).any(axis=1))
+        points, rim, radius = Footprint.of(press.probe, mesh)
+        nodes = np.flatnonzero(loaded_nodes(press, mesh))
+        return Rim(nodes, cKDTree(rim if len(rim) else points), cKDTree(points), radius, True)
+
+    @staticmethod
+    def around(mesh: TetMesh, loaded: Bool[np.ndarray, " n"]) -> "Rim | None":
+        """Return the rim of the contact at the loaded points; None where there is none."""
+        surface = mesh.surface
+        inside = loaded[surface.triangles].all(axis=1)
+        radius = float(np.sqrt(surface.areas[inside].sum() / np.pi))
+        normals = np.zeros((mesh.n_points, 3))
+        for corner in surface.triangles[inside].T:
+            np.add.at(normals, corner, surface.normals[inside])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        corners = surface.triangles[~inside]
+        smooth = np.einsum("tcd,td->tc", normals[corners], surface.normals[~inside]) > _MIN_COSINE
+        rim = np.unique(corners[smooth & loaded[corners]])
+        return Rim._of(mesh, rim, inside, radius) if len(rim) else None
+
+    @staticmethod
+    def at_end(mesh: TetMesh, loaded: Bool[np.ndarray, " n"]) -> "Rim | None":
+        """Return the nodes where the loaded triangles end, within a face or at edges of the body.
+
+        None where no triangle is loaded.
+        """
+        surface = mesh.surface
+        inside = loaded[surface.triangles].all(axis=1)
+        if not inside.any():
+            return None
+        triangles = surface.triangles[inside]
+        sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        ends, counts = np.unique(sides, axis=0, return_counts=True)
+        radius = float(np.sqrt(surface.areas[inside].sum() / np.pi))
+        return Rim._of(mesh, np.unique(ends[counts == 1]), inside, radius)
+
+    @staticmethod
+    def _of(
+        mesh: TetMesh, nodes: Int[np.ndarray, " k"], inside: Bool[np.ndarray, " t"], radius: float
+    ) -> "Rim":
+        within = mesh.points[mesh.surface.triangles[inside]]
+        sampled = np.einsum("sc,tcd->tsd", _lattice(_PER_TRIANGLE), within).reshape(-1, 3)
+        return Rim(nodes, cKDTree(mesh.points[nodes]), cKDTree(sampled), radius)
+
+    def sizing(self, per_radius: float, growth: float, inside: float | None = None) -> Sizing:
+        """Return `per_radius` times the radius at the rim, longer with the distance from it.
+
+        Args:
+            per_radius: Longest edge at the rim, over the radius.
+            growth: Increase of the longest edge with the distance.
+            inside: Longest edge at the loaded surface, over the radius; no limit by default.
+        """
+
+        def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+            lengths = np.full(len(points), np.inf)
+            for tree, per in ((self.tree, per_radius), (self.inside, inside)):
+                if per is not None:
+                    shortest = per * self.radius_mm
+                    beyond = np.maximum(tree.query(points)[0] - shortest, 0.0)
+                    lengths = np.minimum(lengths, shortest + growth * beyond)
+            return lengths
+
+        return sizing
+
+
+def _lattice(count: int) -> Float[np.ndarray, "points 3"]:
+    """Return barycentric coordinates of points that divide each edge of a triangle."""
+    first, second = np.array([(i, j) for i in range(count + 1) for j in range(count + 1 - i)]).T
+    return np.column_stack([first, second, count - first - second]) / count
