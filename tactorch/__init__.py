@@ -82,5 +82,7 @@ def _later(home: str, name: str) -> Callable[..., Any]:
 _VIEWS = {
     "tactorch.viz.figures": ("make_figure", "make_html"),
     "tactorch.viz.solid": ("to_pyvista", "show"),
+    "tactorch.report": ("report_of",),
+    "tactorch.inverse.result.text": ("summarize",),
 }
 VIEWS.update({name: _later(home, name) for home, names in _VIEWS.items() for name in names})

@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     import pyvista
     from matplotlib.figure import Figure
 
-#: Functions that draw an object: `make_figure`, `make_html`, `to_pyvista` and `show`. The package
-#: registers those of `tactorch.viz`, which imports the objects that it draws.
+#: Functions that show an object: `make_figure`, `make_html`, `to_pyvista`, `show`, `report_of` and
+#: `summarize`. The package registers them, as they are in modules that import the objects.
 VIEWS: dict[str, Callable[..., Any]] = {}
 
 

@@ -3,14 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.display import Displayed
+from tactorch.display import VIEWS, Displayed
 from tactorch.errors import ConfigError, MeshError
 from tactorch.hdf5 import (
     Hdf5Reader,
@@ -25,7 +24,6 @@ from tactorch.inverse.posterior.gaussian import GaussianPosterior, normal_quanti
 from tactorch.inverse.result.lump import Lump
 from tactorch.inverse.result.regions import build_lump, find_lumps
 from tactorch.inverse.result.shapes import ShapeReconstruction
-from tactorch.inverse.result.text import summarize
 from tactorch.mesh import TetMesh, locate, write_mesh
 from tactorch.mesh.quadrature import lattice
 
@@ -225,7 +223,8 @@ class Reconstruction(Displayed):
 
     def summary(self) -> str:
         """Return a description of the result in a few lines of text."""
-        return summarize(self)
+        text: str = VIEWS["summarize"](self)
+        return text
 
     def report(
         self, path: str | Path, recording: "Recording | None" = None, **options: Any
@@ -237,8 +236,7 @@ class Reconstruction(Displayed):
             recording: Presses of the inversion. Without them the report has only the field.
             options: Options of `tactorch.report.write_report`.
         """
-        # The report is above its objects.
-        written: Path = import_module("tactorch.report").report_of(self, path, recording, **options)
+        written: Path = VIEWS["report_of"](self, path, recording, **options)
         return written
 
     def save(self, path: str | Path) -> Path:

@@ -1,14 +1,12 @@
 """The words for a result, shared by the command line, the report, notebooks and live runs."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tactorch.inverse.result.lump import Confidence, Lump
-
-if TYPE_CHECKING:
-    from tactorch.inverse.result.reconstruction import Reconstruction
+from tactorch.inverse.result.reconstruction import Reconstruction
 
 _UNCERTAIN = 0.1  # width of the interval of a depth, over the depth, from which it is reported
 # Probabilities above which a lump is certain, and below which it is doubtful.
@@ -24,7 +22,7 @@ class Fact(NamedTuple):
     note: str = ""
 
 
-def summarize(result: "Reconstruction") -> str:
+def summarize(result: Reconstruction) -> str:
     """Return the finding, the description and the fit in a few lines."""
     mesh, chi2 = result.mesh, f", chi2 {result.chi2:.3g}" if result.history else ""
     low, high = result.youngs.min(), result.youngs.max()
@@ -40,7 +38,7 @@ def summarize(result: "Reconstruction") -> str:
     return "\n".join(lines)
 
 
-def describe(result: "Reconstruction", presses: int = 0, total: int = 0) -> str:
+def describe(result: Reconstruction, presses: int = 0, total: int = 0) -> str:
     """Return the finding as text, a line for each lump, reason and warning.
 
     Args:
@@ -52,7 +50,7 @@ def describe(result: "Reconstruction", presses: int = 0, total: int = 0) -> str:
     return "\n".join([*first, *_finding(result), *result.warnings])
 
 
-def _finding(result: "Reconstruction") -> list[str]:
+def _finding(result: Reconstruction) -> list[str]:
     if result.reasons:
         return [f"Do not trust this result: {reason}" for reason in result.reasons]
     if not result.lumps:
@@ -62,7 +60,7 @@ def _finding(result: "Reconstruction") -> list[str]:
     return first + [describe_lump(lump) for lump in result.lumps]
 
 
-def headline(result: "Reconstruction") -> str:
+def headline(result: Reconstruction) -> str:
     """Return the finding in one line."""
     if result.reasons:
         return "The presses cannot tell whether there is a lump"
@@ -80,7 +78,7 @@ def _headline(lump: Lump) -> str:
     return f"A soft lump, {1 / contrast:.2g} times softer than its surroundings"
 
 
-def lead(result: "Reconstruction") -> str:
+def lead(result: Reconstruction) -> str:
     """Return the finding in one or two sentences below the headline."""
     if result.reasons:
         return " ".join(reason[0].upper() + reason[1:] for reason in result.reasons)
