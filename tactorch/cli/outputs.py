@@ -152,8 +152,12 @@ def describe_run(recording: Recording, result: Reconstruction) -> list[str | Tab
 
 
 def _describe_truth(recording: Recording) -> list[str]:
-    """Return the most conspicuous inclusion of the truth, by element, as a sentence."""
+    """Return the simulated inclusions, or the most conspicuous one of the truth by element."""
     assert recording.truth is not None
+    phantom = recording.provenance.get("phantom", {})
+    if inclusions := phantom.get("inclusions"):
+        parts = [_describe_inclusion(dict(inclusion)) for inclusion in inclusions]
+        return [f"Simulated: {'; '.join(parts)}; background {phantom.get('youngs_mpa')} MPa."]
     true = find_lump(recording.mesh, recording.truth)
     if true is None:
         return []
@@ -162,6 +166,12 @@ def _describe_truth(recording: Recording) -> list[str]:
         f"In truth, averaged over the elements: a {true.side} inclusion at ({center}) mm, radius "
         f"{true.equivalent_radius_mm:.2f} mm, {true.mean_mpa:.3g} in {true.background_mpa:.3g} MPa."
     ]
+
+
+def _describe_inclusion(values: dict[str, Any]) -> str:
+    shape, youngs = values.pop("shape", "inclusion"), values.pop("youngs_mpa", "?")
+    parts = [f"{name} {value}" for name, value in values.items() if isinstance(value, list | float)]
+    return ", ".join([f"{shape} of {youngs} MPa", *parts])
 
 
 def region_moduli(mesh: TetMesh, youngs: Float[np.ndarray, " m"]) -> dict[str, dict[str, float]]:

@@ -1,4 +1,4 @@
-"""Surfaces of inclusions, and of the volumes in which they are with a given probability."""
+"""Surfaces of inclusions, and of what belongs to them with a given probability."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -33,8 +33,8 @@ class LumpSurfaces(NamedTuple):
 
     Attributes:
         best: The most probable inclusion.
-        inner: What is inside it with a probability of 95 %; None if nothing is.
-        outer: What is inside it with a probability of 5 %.
+        inner: Around points that belong to it with a probability above 95 %; None without any.
+        outer: Around points that belong to it with a probability above 5 %.
         youngs_mpa: Young's modulus of the inclusion, MPa.
     """
 

@@ -361,7 +361,7 @@ function describeFields() {
   const has = (what) => runs.some((run) => run[what] && run[what].length);
   if (has("lumps")) legend.push(["solid", "lump"]);
   if (runs.some((run) => run.lumps.some((lump) => lump.outer)))
-    legend.push(["dotted", "where its boundary is with a probability of 90 %"]);
+    legend.push(["dotted", "90 % range of its boundary"]);
   if (has("trueInclusion")) legend.push(["dashed", "true inclusions"]);
   if (has("contact")) legend.push(["touched", "contact, with arrows along the force"]);
   if (runs.some((run) => run.next)) legend.push(["next", "next press"]);

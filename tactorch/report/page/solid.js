@@ -147,14 +147,16 @@ class View {
   // Update surfaces that depend on the controls.
   refresh() {
     const { run, shown } = this, at = state.at[solid.axis];
-    if (shown.level !== solid.level || shown.chosen !== solid.chosen) {
-      const { positions, normals } = this.showsLumps() ? lumpSurfaces(run, "best") : isosurface(run, solid.level);
+    if (!this.showsLumps() && shown.level !== solid.level) {
+      const { positions, normals } = isosurface(run, solid.level);
       this.put("level", positions, normals);
-      this.put("outer", ...(this.showsLumps() ? Object.values(lumpSurfaces(run, "outer")) : [[], []]));
     }
     const look = [solid.axis, at, state.colours, state.log, state.own].join();
-    if (shown.look !== look) this.put("cut", ...cutFace(run, solid.axis, at));
-    this.shown = { level: solid.level, chosen: solid.chosen, look };
+    if (shown.look !== look) {
+      this.put("cut", ...cutFace(run, solid.axis, at));
+      for (const kind of ["best", "outer"]) this.put(kind, ...lumpSurfaces(run, kind));
+    }
+    this.shown = { level: this.showsLumps() ? null : solid.level, look };
   }
 
   // Whether the surfaces of fitted inclusions are shown, rather than an isosurface of the field.
@@ -196,9 +198,9 @@ class View {
     gl.uniform3fv(names.eye, this.away);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-    const modulus = this.showsLumps() ? run.lumps[0].youngs : solid.level;
-    const colour = colourOf("youngs", modulus).map((v) => v / 255);
-    this.paint("level", { colour, plane });
+    const colour = colourOf("youngs", solid.level).map((v) => v / 255);
+    if (this.showsLumps()) this.paint("best", { plane });
+    else this.paint("level", { colour, plane });
     if (solid.axis >= 0) {
       gl.enable(gl.POLYGON_OFFSET_FILL); // the cut is in front of the isosurface
       gl.polygonOffset(-1, -1);
@@ -214,7 +216,7 @@ class View {
       this.paint("body", { colour: neutral, clear: dark ? 0.1 : 0.09, plane });
     }
     gl.disable(gl.CULL_FACE);
-    this.paint("outer", { colour, clear: 0.12, plane });
+    if (this.showsLumps()) this.paint("outer", { clear: 0.12, plane });
     gl.depthFunc(gl.LEQUAL);
     const touch = grey ? neutral : [0.835, 0.369, 0];
     this.paint("touched", { colour: touch, clear: 0.1, lit: false, plane });
@@ -262,7 +264,7 @@ class View {
     }
     const what = this.showsLumps()
       ? `the surface of each lump, of ${this.run.lumps.map((l) => `${formatNumber(l.youngs)} MPa`).join(", ")}, ` +
-        "and a translucent one around it that holds it with a probability of 95 %"
+        "and a translucent one, outside of which points belong to it with a probability below 5 %"
       : `the isosurface of Young's modulus at ${formatNumber(solid.level)} MPa`;
     const label =
       `3-D view of ${this.run.name}: ${what}, in the translucent body` +
@@ -299,15 +301,20 @@ function circle({ center, inward, radius }) {
   return points;
 }
 
-// Triangles of one kind of surface of all lumps, for drawing.
+// Triangles of one kind of surface of all lumps, each in the colour of its modulus.
 function lumpSurfaces(run, kind) {
-  const positions = [], normals = [];
-  for (const surface of run.lumps.map((lump) => lump[kind]).filter(Boolean)) {
-    const [position, normal] = expandTriangles(surface, surface.triangles);
-    for (const value of position) positions.push(value);
-    for (const value of normal) normals.push(value);
+  const positions = [], normals = [], colours = [];
+  for (const lump of run.lumps) {
+    if (!lump[kind]) continue;
+    const [position, normal] = expandTriangles(lump[kind], lump[kind].triangles);
+    const paint = colourOf("youngs", lump.youngs, run).map((v) => v / 255);
+    for (let k = 0; k < position.length; k++) {
+      positions.push(position[k]);
+      normals.push(normal[k]);
+      colours.push(paint[k % 3]);
+    }
   }
-  return { positions, normals };
+  return [positions, normals, colours];
 }
 
 function expandTriangles({ points }, list) {
