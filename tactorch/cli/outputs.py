@@ -157,7 +157,10 @@ def _describe_truth(recording: Recording) -> list[str]:
     phantom = recording.provenance.get("phantom", {})
     if inclusions := phantom.get("inclusions"):
         parts = [_describe_inclusion(dict(inclusion)) for inclusion in inclusions]
-        return [f"Simulated: {'; '.join(parts)}; background {phantom.get('youngs_mpa')} MPa."]
+        around = phantom.get("youngs_mpa")
+        if isinstance(around, float):
+            parts.append(f"background {around} MPa")
+        return [f"Simulated: {'; '.join(parts)}."]
     true = find_lump(recording.mesh, recording.truth)
     if true is None:
         return []
