@@ -108,7 +108,7 @@ class Screen(Observer):
     def found(self, update: Update) -> None:
         """See `Observer.found`."""
         self._finding, self._update = finding_text(update), update
-        log.info("press %s, inclusions: %s", update.entry["press"], self._finding)
+        log.info("press %s, shapes: %s", update.entry["press"], self._finding)
         self._draw(update)
         self._show()
 
