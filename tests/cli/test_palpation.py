@@ -59,7 +59,7 @@ def test_a_palpation_becomes_a_map_a_finding_and_a_report(
     lump = finding["lumps"][0]
     assert np.linalg.norm(np.array(lump["center_mm"][:2]) - STIFF) < 2.0
     assert lump["depth_90_mm"][0] < lump["depth_mm"] < lump["depth_90_mm"][1]
-    assert (run / "shapes.png").exists()
+    assert (run / "slices.png").exists()
     done = tactorch("report", str(run), "uncertainty=false")
     assert done.status == 0, done.err
     page = (run / "report.html").read_text()

@@ -5,17 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactorch.findings import Finding, build_shape_finding
 from tactorch.importers import import_palpation
-from tactorch.inverse import find_shapes
+from tactorch.inverse import Reconstruction, find_shapes
+from tactorch.inverse.result.build import of_inclusions
 from tactorch.recording import Recording
 
 pytestmark = [pytest.mark.external, pytest.mark.slow]
 
 
-def find(shared_data: Path, name: str) -> tuple[Recording, Finding]:
+def find(shared_data: Path, name: str) -> tuple[Recording, Reconstruction]:
     recording = import_palpation(shared_data / "robot-palpation" / f"{name}.csv", depth_mm=8.0)
-    return recording, build_shape_finding(recording, find_shapes(recording))
+    return recording, of_inclusions(recording, find_shapes(recording), {}, 0.0)
 
 
 def test_two_nodules_are_two_stiff_lumps_below_the_stiffest_probes(shared_data: Path) -> None:

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import Bounds, NoiseModel, linear_image
+from tactorch.inverse import Bounds, NoiseModel
+from tactorch.inverse.fit import linear_image
 from tactorch.learning.data import apply_symmetry
 from tactorch.learning.surrogate.features import (
     PRESS_CHANNELS,

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tactorch.errors import FileError, MeshError
-from tactorch.findings.recognition import load_recognizer, recognise
+from tactorch.learning.recognition import load_recognizer, recognise
 from tactorch.learning.recognizer import Recognizer
 from tactorch.mesh import box_mesh
 

