@@ -137,14 +137,14 @@ def describe_run(recording: Recording, result: Reconstruction) -> list[str | Tab
         "",
         f"Description: {result.name}, {result.iterations} {steps} in {result.seconds:.1f} s; "
         f"stopped because: {result.stop_reason}.",
-        f"The residuals are {np.sqrt(result.chi2):.2g} standard deviations{misfit}.",
+        f"The RMS residual is {np.sqrt(result.chi2):.2f} times the noise{misfit}.",
         *_describe_regions(region_moduli(recording.mesh, result.youngs)),
         *(_describe_estimate(name, value) for name, value in result.nuisance.items()),
     ]
     if result.other is not None:
         parts.append(
-            f"The presses were described by {result.other.name} too, with residuals of "
-            f"{np.sqrt(result.other.chi2):.2g} standard deviations."
+            f"The presses were described by {result.other.name} too, with an RMS residual of "
+            f"{np.sqrt(result.other.chi2):.2f} times the noise."
         )
     if recording.truth is not None:
         parts += ["", *_describe_truth(recording), score_table(recording, fields_of(result))[1]]

@@ -143,7 +143,7 @@ def lump_facts(lump: Lump) -> list[Fact]:
     location = Fact("Location", point)
     if depth is not None:
         within = f"{_within(lump.depth_90_mm, 3)}below {depth.surface}; at {point}"
-        location = Fact("Depth", f"{depth.center_mm:.1f} mm", within)
+        location = Fact("Depth", _length(depth.center_mm, lump.depth_90_mm), within)
     radii = None if confidence is None else confidence.radius_mm
     diameters = None if radii is None else (2 * radii[0], 2 * radii[1])
     volume = f"diameter of a ball of its volume, {inclusion.volume_mm3:.3g} mm³"
@@ -153,7 +153,7 @@ def lump_facts(lump: Lump) -> list[Fact]:
     background = f"{kind}{format_modulus(inclusion.background_mpa)} in its surroundings"
     return [
         location,
-        Fact("Size", f"{diameter:.1f} mm", volume),
+        Fact("Size", _length(diameter, diameters), volume),
         Fact("Young's modulus", format_modulus(inclusion.mean_mpa), background),
         _probability(lump),
     ]
@@ -172,6 +172,11 @@ def _probability(lump: Lump) -> Fact:
         f"{what}, given noise and prior; 90 % interval of the ratio of moduli "
         f"{_span(confidence.contrast, 2)}; standard deviation of its centre {deviation:.2g} mm",
     )
+
+
+def _length(value_mm: float, within_mm: Sequence[float] | None) -> str:
+    """Return a length with the digits of its interval."""
+    return f"{value_mm:.1f} mm" if within_mm is None else f"{value_mm:#.3g} mm"
 
 
 def format_modulus(value: float) -> str:
