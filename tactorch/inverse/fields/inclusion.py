@@ -33,7 +33,8 @@ class Parameters(NamedTuple):
 
 
 #: Names of the parameters that all inclusions have, in their order.
-CENTER, SIZE = ("x", "y", "z"), ("log_radius", "log_contrast")
+CENTER = ("x", "y", "z")
+SIZE = ("log_radius", "log_contrast")
 COMMON = (*CENTER, *SIZE)
 
 
