@@ -86,7 +86,7 @@ def test_the_finding_stands_at_the_top(run_folder: Path) -> None:
     assert depths is not None
     assert told.facts[0] == Fact(
         "Depth",
-        f"{min(10 - x, 10 - z):.1f} mm",
+        f"{min(10 - x, 10 - z):#.3g} mm",
         f"90 %: {depths[0]:.3g} to {depths[1]:.3g}; below the pressed side "
         f"{'x+' if x > z else 'z+'}; at ({x:.1f}, {y:.1f}, {z:.1f}) mm",
     )
