@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactorch.errors import ConfigError, MeshError
-from tactorch.inverse import Status, find_lumps
+from tactorch.inverse import Reconstruction, Status, find_lumps
+from tactorch.inverse.result.build import with_lumps
 from tactorch.inverse.result.lump import measure_depth
 from tactorch.inverse.result.text import describe
 from tactorch.mesh import box_mesh, face_nodes
@@ -189,3 +190,14 @@ def test_the_size_is_that_along_each_axis(element_map):
     youngs = np.where((centred**2).sum(axis=1) < 1, 1.0, 0.2)
     size = element_map(recording(), youngs).lumps[0].size_mm
     assert size == pytest.approx([6.0, 4.0, 3.0], abs=0.5)
+
+
+@pytest.mark.parametrize(("height_mm", "is_trusted"), [(1.25, True), (2.5, False)])
+def test_a_quarter_of_a_map_at_a_bound_is_not_trusted(height_mm, is_trusted):
+    youngs = np.where(MESH.centroids[:, 2] < height_mm, 0.01, 0.2)
+    bounds = {"settings": {"bounds": {"lower": 0.01, "upper": 10.0}}}
+    moved = np.zeros((0, MESH.n_points, 3))
+    map_ = Reconstruction(MESH, youngs, moved, [], "known", 0.0, config=bounds)
+    found = with_lumps(map_, recording())
+    assert (found.status is not Status.UNKNOWN) == is_trusted
+    assert is_trusted or "25% of the map" in found.reasons[0]
