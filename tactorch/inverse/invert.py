@@ -197,10 +197,9 @@ def _held_out_score(
         return None
     if factor is None:
         return None
-    data, identity = point.evaluation.data, np.eye(len(point.x))
-    covariance = np.column_stack([factor.solve(column) for column in identity])
+    data, residuals = point.evaluation.data, point.evaluation.residuals
     contacts = contacts_of(recording, data.observations)
-    return held_out_score(data, contacts, point.evaluation.residuals, point.jacobian, covariance)
+    return held_out_score(data, contacts, residuals, point.jacobian, factor.inverse())
 
 
 def invert_map(
@@ -214,8 +213,6 @@ def invert_map(
     on_iteration: Callable[[dict[str, Any], np.ndarray], None] | None = None,
 ) -> Reconstruction:
     """Reconstruct an element map, one modulus per element (eq. 8).
-
-    An interruption (Ctrl-C) or the time limit keeps the best map so far.
 
     The truth and the reference that a recording may carry are never read. An interruption
     (Ctrl-C) or the time limit keeps the best map so far.

@@ -70,3 +70,7 @@ class DenseCholesky:
     def solve(self, rhs: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """Return the solution for one right-hand side."""
         return torch.cholesky_solve(torch.from_numpy(rhs)[:, None], self.lower)[:, 0].numpy()
+
+    def inverse(self) -> Float[np.ndarray, "n n"]:
+        """Return the inverse of the matrix."""
+        return torch.cholesky_inverse(self.lower).numpy()

@@ -67,7 +67,7 @@ class LaplacePosterior(GaussianPosterior):
 
     @cached_property
     def _covariance(self) -> Float[np.ndarray, "unknowns unknowns"]:
-        return torch.cholesky_inverse(self.factor.lower).numpy()
+        return self.factor.inverse()
 
     def variance(self) -> Field:
         return self._covariance.diagonal()[: len(self.mean)].copy()

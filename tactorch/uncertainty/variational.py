@@ -22,7 +22,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-import torch
 from jaxtyping import Float, Int
 from scipy.sparse.csgraph import connected_components
 
@@ -132,7 +131,7 @@ def variational_posterior(
         iterations += 1
         factor, step = _solve(point, jump_model, hessian, weight * jump_model.areas / sizes)
         old_sizes, old_weight = sizes, weight
-        sizes = jump_model.sizes(step, torch.cholesky_inverse(factor.lower).numpy())
+        sizes = jump_model.sizes(step, factor.inverse())
         weight = jump_model.rank / float(jump_model.areas @ sizes)
         change = np.abs(np.log(sizes / old_sizes)).max()
         if max(change, abs(np.log(weight / old_weight))) < tolerance:
