@@ -493,7 +493,11 @@ def test_a_step_that_does_not_lower_the_objective_is_not_added(problem, sites, m
     start = field.standard(np.array(VALUES["ball"]))
     rough, _ = fit_shapes(problem, field, start, sites=sites, tolerance=0.4)
     assert (rough.optimum != rough.z).any()
-    monkeypatch.setattr(shape_fit._State, "moved", lambda *args: None)
+
+    def fails(*args: object) -> None:
+        raise ConvergenceError("no equilibrium")
+
+    monkeypatch.setattr(shape_fit._ShapeSteps, "moved", fails)
     refused, _ = fit_shapes(problem, field, rough.z, sites=sites, tolerance=1e-9)
     np.testing.assert_array_equal(refused.z, rough.z)
     np.testing.assert_array_equal(refused.optimum, refused.z)

@@ -227,9 +227,14 @@ class Objective:
         return np.concatenate(steps)
 
     def at(
-        self, x: Float[np.ndarray, " size"], near: Point | None = None, *, take_over: bool = False
+        self,
+        x: Float[np.ndarray, " size"],
+        near: Point | None = None,
+        *,
+        take_over: bool = False,
+        starts: Sequence[np.ndarray] | None = None,
     ) -> Point:
-        """Evaluate at x, starting the equilibria from a nearby point.
+        """Evaluate at x, starting the equilibria from a nearby point, or from displacements (mm).
 
         `take_over` passes the factorisations of `near` on; see `InverseProblem.evaluate`.
 
@@ -240,9 +245,9 @@ class Objective:
         field = self.field.at(x[:m])
         nuisance = self.nuisance.nuisance(x[m:], self.problem.assumed)
         before = None if near is None else near.evaluation
-        evaluation = self.problem.evaluate(
-            field.youngs, before, nuisance, take_over, starts=self.starts if near is None else None
-        )
+        if starts is None and near is None:
+            starts = self.starts
+        evaluation = self.problem.evaluate(field.youngs, before, nuisance, take_over, starts=starts)
         if self.stable_only:
             evaluation.factor()
         return Point(x, field, evaluation, self)

@@ -17,16 +17,24 @@ import scipy.sparse as sp
 from jaxtyping import Float
 from scipy.linalg import null_space
 
-from tactorch.errors import ConvergenceError
 from tactorch.inverse.fields import FieldPoint, ModulusField, ShapeField, Sites, Vector
-from tactorch.inverse.fit.optimizers.damped import projected_gradient
+from tactorch.inverse.fit.monitor import Monitor, StopOptimization, StopReason
+from tactorch.inverse.fit.objective import Objective, Point
+from tactorch.inverse.fit.optimizers.damped import (
+    Damping,
+    Mask,
+    StepSolver,
+    projected_gradient,
+    within_bounds,
+)
+from tactorch.inverse.fit.optimizers.gauss_newton import GaussNewton
 from tactorch.inverse.forward.problem import Evaluation, InverseProblem
 
 _MAX_STEP, _MAX_Z = 0.5, 4.0  # of a coefficient, in standard deviations of its prior
-_DAMPING, _RAISED_DAMPING = 1e-6, 1e-2  # smallest ones, over the Hessian's diagonal
 _MAX_TRIALS = 8  # of growing damping
 _ROUND_OFF = 0.5  # predicted fall below which errors of the derivatives may prevent a descent
-_MIN_GAIN = 1e-3  # smallest fall of the objective over the predicted one
+_NEVER = np.finfo(float).tiny  # relative fall that ends a fit: `_ShapeSteps` tells the end
+_DAMPING = Damping(least=1e-6, raised=1e-3, shrinkage=0.1, sufficient=1e-3, accepted=1e-3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,17 +87,21 @@ class _ShapesPoint(FieldPoint):
         logs = self.field.shapes.jacobian(self.x, self.field.sites)
         return self.youngs.reshape(-1, 1) * logs
 
-    @property
+    @cached_property
     def penalty(self) -> float:  # type: ignore[override]
-        return 0.5 * float(self.x @ self.x)
+        return self.field.shapes.penalty(self.x)
+
+    @cached_property
+    def _excess_jacobian(self) -> Float[np.ndarray, "sides size"]:
+        return self.field.shapes.excess_jacobian(self.x)
 
     @property
     def penalty_gradient(self) -> Vector:  # type: ignore[override]
-        return self.x
+        return self.x + self._excess_jacobian.T @ self.field.shapes.excess(self.x)
 
     @property
     def penalty_curvature(self) -> sp.csr_matrix:
-        return sp.identity(len(self.x), format="csr")
+        return sp.csr_matrix(np.eye(len(self.x)) + self._excess_jacobian.T @ self._excess_jacobian)
 
     def youngs_change(self, change: Vector) -> Float[np.ndarray, "m q"]:
         return (self._derivative @ change).reshape(self.field.sites.shape)
@@ -179,132 +191,94 @@ def fit_shapes(
         ConvergenceError: the start has no equilibrium under the recorded forces.
     """
     family = ShapesOnSites(field, sites or Sites.of(problem.body.assembly), held)
+    objective = Objective(problem, family, weight=1.0)
     if evaluation is None:
-        state = _State.at(problem, family, np.clip(start, *family.limits), starts)
+        point = objective.at(np.clip(start, *family.limits), starts=starts)
     else:
-        state = _State(family, _ShapesPoint(family, start), evaluation.with_data(problem.data))
+        point = Point(start, family.at(start), evaluation.with_data(problem.data), objective)
+    steps, monitor = _ShapeSteps(tolerance, give_up), Monitor(log=False)
+    if max_iterations:
+        optimizer = GaussNewton(max_iterations, _NEVER, _DAMPING.least, _MAX_TRIALS)
+        with suppress(StopOptimization):
+            monitor.reason = optimizer.descend(point, steps, monitor)
+        point = monitor.point or point
+    return steps.fit(point, monitor.reason is StopReason.NO_DESCENT), point.evaluation
+
+
+@dataclass(eq=False)
+class _ShapeSteps(StepSolver):
+    """Steps of the parameters of shapes; see `fit_shapes` for the attributes."""
+
+    tolerance: float
+    give_up: Callable[[ShapeFit, float], bool]
     damping = _DAMPING
-    for _ in range(max_iterations):
-        fall = state.predicted_fall(state.newton_step())
-        predicted = state.predicted_fall(state.step(0.0)) / max(1.0, state.evaluation.chi2)
-        if predicted <= tolerance or give_up(state.fit(problem), fall):
-            break
-        for _ in range(_MAX_TRIALS):
-            step = state.step(damping)
-            trial = state.moved(problem, step)
-            if trial and state.value - trial.value > _MIN_GAIN * state.predicted_fall(step):
-                break
-            if predicted <= _ROUND_OFF:
-                return state.fit(problem, refused=True), state.evaluation
-            damping = max(10.0 * damping, _RAISED_DAMPING)
-        else:
-            return state.fit(problem, refused=True), state.evaluation
-        state, damping = trial, max(0.1 * damping, _DAMPING)
-    return state.fit(problem), state.evaluation
 
+    def linearize(
+        self, point: Point, weight: float, gradient: Vector, free: Mask, lowering: bool
+    ) -> None:
+        jacobian, family = point.jacobian, point.objective.field
+        assert isinstance(family, ShapesOnSites)
+        self._point, self._gradient, self._family = point, gradient, family
+        self._hessian = jacobian.T @ jacobian + point.prior_curvature(weight).toarray()
+        self._basis = np.eye(len(gradient))[:, free]
+        if family.held is not None:
+            self._basis = self._basis @ null_space((family.held @ self._basis)[None])
 
-@dataclass(frozen=True, eq=False)
-class _State:
-    """The objective and its derivatives at one vector of parameters."""
-
-    family: ShapesOnSites
-    point: _ShapesPoint
-    evaluation: Evaluation
-
-    @staticmethod
-    def at(
-        problem: InverseProblem,
-        family: ShapesOnSites,
-        z: Vector,
-        starts: Sequence[Float[np.ndarray, "nodes 3"]] | None,
-    ) -> "_State":
-        point = _ShapesPoint(family, z)
-        return _State(family, point, problem.evaluate(point.youngs, starts=starts))
-
-    @property
-    def z(self) -> Vector:
-        return self.point.x
-
-    @cached_property
-    def value(self) -> float:
-        residuals = self.evaluation.residuals
-        return 0.5 * float(residuals @ residuals) + self.family.shapes.penalty(self.z)
-
-    @cached_property
-    def _excess(self) -> Float[np.ndarray, " sides"]:
-        return self.family.shapes.excess(self.z)
-
-    @cached_property
-    def _excess_jacobian(self) -> Float[np.ndarray, "sides size"]:
-        return self.family.shapes.excess_jacobian(self.z)
-
-    @cached_property
-    def _response(self) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Derivatives of the residuals, and of the displacements of each press."""
-        return self.evaluation.linear_response(self.point.changes)
-
-    @cached_property
-    def _gradient(self) -> Vector:
-        of_data = self._response[0].T @ self.evaluation.residuals
-        return of_data + self.z + self._excess_jacobian.T @ self._excess
-
-    @cached_property
-    def _hessian(self) -> Float[np.ndarray, "size size"]:
-        jacobian = np.vstack([self._response[0], self._excess_jacobian])
-        return jacobian.T @ jacobian + np.eye(len(self.z))
-
-    def newton_step(self, damping: float = 0.0) -> Vector:
+    def solve(self, damping: float) -> Vector:
         """Return the damped step of the parameters that are neither at a bound nor held."""
-        free = projected_gradient(self.z, self._gradient, self.family.limits) != 0.0
-        hessian = self._hessian + damping * np.diag(np.diag(self._hessian))
-        basis = np.eye(len(self.z))[:, free]
-        if self.family.held is not None:
-            basis = basis @ null_space((self.family.held @ basis)[None])
+        basis, hessian = self._basis, self._hessian + damping * np.diag(np.diag(self._hessian))
         step = np.linalg.solve(basis.T @ hessian @ basis, basis.T @ self._gradient)
         return -np.asarray(basis @ step)
 
-    def step(self, damping: float) -> Vector:
-        """Return the damped step, shortened to where linearisation is meaningful, within bounds."""
-        step = self.newton_step(damping)
-        step /= max(1.0, float((np.abs(step) / self.family.max_step).max()))
-        return np.clip(self.z + step, *self.family.limits) - self.z
+    def predicted_fall(self, change: Vector) -> float:
+        return -float(change @ self._gradient + 0.5 * change @ self._hessian @ change)
 
-    def predicted_fall(self, step: Vector) -> float:
-        """Return the fall of the quadratic model along a step."""
-        return -float(step @ self._gradient + 0.5 * step @ self._hessian @ step)
+    def trials(self, limit: int) -> int:
+        """Return one near the optimum, where errors of the derivatives may prevent a descent."""
+        newton, chi2 = self.solve(0.0), self._point.evaluation.chi2
+        predicted = self.predicted_fall(self.limited(self._point, newton)) / max(1.0, chi2)
+        is_done = predicted <= self.tolerance
+        if is_done or self.give_up(self._fit(self._point.x), self.predicted_fall(newton)):
+            raise StopOptimization(StopReason.CONVERGED)
+        return 1 if predicted <= _ROUND_OFF else limit
 
-    def moved(self, problem: InverseProblem, step: Vector) -> "_State | None":
-        """Return the state after a step; None where a press has no equilibrium."""
-        changes = [np.tensordot(step, fields, 1) for fields in self._response[1]]
-        starts = self.evaluation.moved(changes)
-        with suppress(ConvergenceError):
-            return _State.at(problem, self.family, self._after(step), starts)
-        return None
+    def limited(self, point: Point, change: Vector) -> Vector:
+        """Return a step shortened as a whole, which keeps its direction but at bounds."""
+        longest = float((np.abs(change) / point.objective.max_step).max())
+        return within_bounds(point, change / max(1.0, longest))
+
+    def moved(self, point: Point, change: Vector) -> Point:
+        _, fields = point.evaluation.linear_response(self._changes)
+        starts = point.evaluation.moved([np.tensordot(change, field, 1) for field in fields])
+        return point.objective.at(self._after(change), starts=starts)
+
+    @property
+    def _changes(self) -> Float[np.ndarray, "size moduli"]:
+        assert isinstance(self._point.field, _ShapesPoint)
+        return self._point.field.changes
 
     def _after(self, step: Vector) -> Vector:
         """Return the parameters after a step, within bounds."""
-        straight = self.family.held is not None
-        z = self.z + step if straight else self.family.shapes.moved(self.z, step)
-        return np.clip(z, *self.family.limits)
+        x, family = self._point.x, self._family
+        z = x + step if family.held is not None else family.shapes.moved(x, step)
+        return np.clip(z, *family.limits)
 
-    def _optimum(self) -> Vector:
-        step = self.step(0.0)
-        is_long = self.predicted_fall(step) > _ROUND_OFF * max(1.0, self.evaluation.chi2)
-        return self.z if is_long else self._after(step)
+    def fit(self, point: Point, refused: bool) -> ShapeFit:
+        """Return the fit at a point; a refused step does not lead to the optimum."""
+        gradient = self.data_gradient(point) + point.prior_gradient(1.0)
+        free = projected_gradient(point.x, gradient, point.objective.limits) != 0.0
+        self.linearize(point, 1.0, gradient, free, False)
+        step = self.limited(point, self.solve(0.0))
+        is_long = self.predicted_fall(step) > _ROUND_OFF * max(1.0, point.evaluation.chi2)
+        return self._fit(point.x if refused or is_long else self._after(step))
 
-    def fit(self, problem: InverseProblem, refused: bool = False) -> ShapeFit:
-        """Return the fit with its posterior; a refused step does not lead to the optimum."""
-        residuals = self.evaluation.residuals
-        determinant = float(np.linalg.slogdet(self._hessian)[1]) + problem.data.log_determinant
+    def _fit(self, optimum: Vector) -> ShapeFit:
+        """Return the fit at the present point with its posterior."""
+        point, evaluation = self._point, self._point.evaluation
+        residuals = evaluation.residuals
+        determinant = float(np.linalg.slogdet(self._hessian)[1]) + evaluation.data.log_determinant
         return ShapeFit(
-            self.family.shapes,
-            self.z,
-            np.linalg.inv(self._hessian),
-            self.evaluation.chi2,
-            0.5 * float(residuals @ residuals),
-            self.family.shapes.penalty(self.z),
-            0.5 * determinant,
-            residuals,
-            self._response[0],
-            self.z if refused else self._optimum(),
-        )
+            self._family.shapes, point.x, np.linalg.inv(self._hessian), evaluation.chi2,
+            0.5 * float(residuals @ residuals), point.penalty, 0.5 * determinant, residuals,
+            point.jacobian, optimum,
+        )  # fmt: skip

@@ -26,17 +26,37 @@ from tactorch.linalg import Solver, SymmetricPattern, analyse
 # While the weight of the prior falls, the path follows a valley that is narrow where the noise is
 # small: the misfit may rise by this factor, else the steps along it become tiny.
 _MAX_RISE = 2.0
-# Directions that the data do not determine are the prior's; damping is for the nonlinearity alone,
-# so it starts small, falls after every step of sufficient gain, and jumps where a step failed.
-_MIN_DAMPING, _MIN_RAISED_DAMPING = 1e-12, 1e-4
 _CUT_FALL = 0.05  # relative fall of the objective by a step that was cut, below which it converges
 Vector = Float[np.ndarray, " size"]
 Mask = Bool[np.ndarray, " size"]
 
 
-class StepSolver(ABC):
-    """Solves the linear systems of one run."""
+class Damping(NamedTuple):
+    """Rule of the damping, which is relative to the diagonal of the Hessian.
 
+    Directions that the data do not determine are the prior's; damping is for the nonlinearity
+    alone, so it starts small, falls after every step of sufficient gain, and jumps where a step
+    failed. The gain is the fall of the objective over the predicted one.
+
+    Attributes:
+        least: Smallest damping.
+        raised: Smallest damping that is raised tenfold where a step failed.
+        shrinkage: Factor after a step of sufficient gain.
+        sufficient: Sufficient gain.
+        accepted: Gain above which a step is accepted.
+    """
+
+    least: float = 1e-12
+    raised: float = 1e-4
+    shrinkage: float = 0.2
+    sufficient: float = MIN_GAIN
+    accepted: float = 0.0
+
+
+class StepSolver(ABC):
+    """Solves the linear systems of one run, and takes its steps."""
+
+    damping = Damping()
     leaps = True  # the weight of the prior may fall by leaps
     takes_over = False  # a trial takes the factorisations of the present point over
     weight_rule = "discrepancy"  # chooses the weight of the prior
@@ -62,6 +82,28 @@ class StepSolver(ABC):
     @abstractmethod
     def predicted_fall(self, change: Vector) -> float:
         """Return the fall of the quadratic model along a change."""
+
+    def trials(self, limit: int) -> int:
+        """Return the limit of trial steps at the present point, where the settings have this one.
+
+        Raises:
+            StopOptimization: little is left to gain.
+        """
+        return limit
+
+    def limited(self, point: Point, change: Vector) -> Vector:
+        """Return a step cut to where the linearisation is meaningful, and to the bounds."""
+        cap = point.objective.max_step
+        return within_bounds(point, np.clip(change, -cap, cap))
+
+    def moved(self, point: Point, change: Vector) -> Point:
+        """Return the point after a step.
+
+        Raises:
+            ConvergenceError: a press has no equilibrium there.
+        """
+        x = np.clip(point.x + change, *point.objective.limits)
+        return point.objective.at(x, point, take_over=self.takes_over)
 
     def state(self) -> dict[str, float]:
         """Return the numbers to resume from."""
@@ -119,7 +161,10 @@ class DampedNewton(Optimizer):
 
     def minimize(self, objective: Objective, start: Vector, monitor: Monitor) -> StopReason:
         point = objective.at(start)
-        solver = self.step_solver(point, monitor.state)
+        return self.descend(point, self.step_solver(point, monitor.state), monitor)
+
+    def descend(self, point: Point, solver: StepSolver, monitor: Monitor) -> StopReason:
+        """Minimise from a point by the steps of a solver; see `minimize`."""
         schedule = RegularizationSchedule.start(
             point, monitor.state, solver.weight_rule, solver.trace
         )
@@ -171,31 +216,25 @@ class DampedNewton(Optimizer):
         trials: int | None = None,
     ) -> _Step | None:
         """Try steps of growing damping; while the weight falls, the misfit may rise a little."""
-        objective, cap = point.objective, point.objective.max_step
-        low, high = objective.limits
+        rule = solver.damping
         gradient = solver.data_gradient(point) + point.prior_gradient(weight)
-        free = projected_gradient(point.x, gradient, (low, high)) != 0.0
+        free = projected_gradient(point.x, gradient, point.objective.limits) != 0.0
         if not free.any():
             return None
         solver.linearize(point, weight, gradient, free, lowering)
         value, chi2 = point.value(weight), point.evaluation.chi2
-        for _ in range(trials or self.max_trials):
+        for _ in range(trials or solver.trials(self.max_trials)):
             change, trial = solver.solve(damping), None
             if change is not None:
-                # Cut to the bounds and to where the linearisation is meaningful.
-                change = np.clip(change, -cap, cap)
-                end = point.x + change
-                inside = (end >= low) & (end <= high)
-                change = np.where(inside, change, np.clip(end, low, high) - point.x)
-                x = np.clip(point.x + change, low, high)
+                change = solver.limited(point, change)
                 with suppress(ConvergenceError):  # some press has no equilibrium there
-                    trial = objective.at(x, point, take_over=solver.takes_over)
+                    trial = solver.moved(point, change)
             if change is not None and trial is not None:
                 gain = _gain(value - trial.value(weight), solver.predicted_fall(change))
-                if gain > 0 or (lowering and trial.evaluation.chi2 < _MAX_RISE * chi2):
-                    lower = max(0.2 * damping, _MIN_DAMPING) if gain > MIN_GAIN else damping
-                    return _Step(trial, lower, gain)
-            damping = 10.0 * max(damping, _MIN_RAISED_DAMPING)
+                if gain > rule.accepted or (lowering and trial.evaluation.chi2 < _MAX_RISE * chi2):
+                    lower = max(rule.shrinkage * damping, rule.least)
+                    return _Step(trial, lower if gain > rule.sufficient else damping, gain)
+            damping = 10.0 * max(damping, rule.raised)
             monitor.check_time()
         return None
 
@@ -206,6 +245,14 @@ def _is_cut(before: Point, point: Point, fall: float) -> bool:
         return False
     change = np.abs(point.x - before.x)
     return bool((change >= (1.0 - 1e-6) * point.objective.max_step).any())
+
+
+def within_bounds(point: Point, change: Vector) -> Vector:
+    """Return a step cut to the bounds of the parameters."""
+    low, high = point.objective.limits
+    end = point.x + change
+    inside = (end >= low) & (end <= high)
+    return np.where(inside, change, np.clip(end, low, high) - point.x)
 
 
 def projected_gradient(x: Vector, gradient: Vector, limits: tuple[Any, Any]) -> Vector:
