@@ -148,6 +148,24 @@ class ShapeFit:
     jacobian: Float[np.ndarray, "data size"]
     optimum: Float[np.ndarray, " size"]
 
+    @staticmethod
+    def at(
+        field: ShapeField,
+        evaluation: Evaluation,
+        jacobian: Float[np.ndarray, "data size"],
+        z: Float[np.ndarray, " size"],
+        optimum: Float[np.ndarray, " size"] | None = None,
+    ) -> "ShapeFit":
+        """Return the fit of predictions at z, with their derivatives."""
+        residuals, slopes = evaluation.residuals, field.excess_jacobian(z)
+        hessian = jacobian.T @ jacobian + slopes.T @ slopes + np.eye(len(z))
+        determinant = float(np.linalg.slogdet(hessian)[1]) + evaluation.data.log_determinant
+        return ShapeFit(
+            field, z, np.linalg.inv(hessian), evaluation.chi2, 0.5 * float(residuals @ residuals),
+            field.penalty(z), 0.5 * determinant, residuals, jacobian,
+            z if optimum is None else optimum,
+        )  # fmt: skip
+
     def log_evidence(self, inflation: float = 1.0) -> float:
         """Return the log-evidence where the variance of the noise is `inflation` times as large.
 
@@ -273,12 +291,5 @@ class _ShapeSteps(StepSolver):
         return self._fit(point.x if refused or is_long else self._after(step))
 
     def _fit(self, optimum: Vector) -> ShapeFit:
-        """Return the fit at the present point with its posterior."""
-        point, evaluation = self._point, self._point.evaluation
-        residuals = evaluation.residuals
-        determinant = float(np.linalg.slogdet(self._hessian)[1]) + evaluation.data.log_determinant
-        return ShapeFit(
-            self._family.shapes, point.x, np.linalg.inv(self._hessian), evaluation.chi2,
-            0.5 * float(residuals @ residuals), point.penalty, 0.5 * determinant, residuals,
-            point.jacobian, optimum,
-        )  # fmt: skip
+        point = self._point
+        return ShapeFit.at(self._family.shapes, point.evaluation, point.jacobian, point.x, optimum)

@@ -198,15 +198,8 @@ class ShapeProblem:
     ) -> ShapeFit:
         """Return predictions of quadratic elements as a fit with derivatives of linear ones."""
         point = ShapesOnSites(start.field, self._linear_sites).at(z)
-        data = self.data(start.errors)
-        columns = point.jacobian(self.linear.evaluate(point.youngs).with_data(data))
-        hessian, residuals = columns.T @ columns + np.eye(len(z)), evaluation.residuals
-        determinant = float(np.linalg.slogdet(hessian)[1]) + data.log_determinant
-        return ShapeFit(
-            start.field, z, np.linalg.inv(hessian), evaluation.chi2,
-            0.5 * float(residuals @ residuals), start.field.penalty(z), 0.5 * determinant,
-            residuals, columns, z,
-        )  # fmt: skip
+        coarse = self.linear.evaluate(point.youngs).with_data(evaluation.data)
+        return ShapeFit.at(start.field, evaluation, point.jacobian(coarse), z)
 
     def precise(self, model: Model) -> Model:
         """Return a model of the search corrected for the discretisation.
