@@ -39,7 +39,7 @@ from tactorch.inverse.forward.palpation import (
 from tactorch.inverse.forward.problem import InverseProblem, make_body
 from tactorch.inverse.result.build import config_of, of_elements, of_inclusions
 from tactorch.inverse.result.reconstruction import Reconstruction
-from tactorch.inverse.search.criticism import wrong_forces
+from tactorch.inverse.search.criticism import force_errors
 from tactorch.inverse.search.held_out import held_out_score
 from tactorch.inverse.search.model import MIN_GAIN
 from tactorch.inverse.search.search import find_shapes
@@ -147,16 +147,16 @@ def _criticised(result: Reconstruction, recording: Recording, settings: Settings
         return result
     try:
         point = solution(recording, result, settings)
-        level = wrong_forces(point, result.history[-1].get("weight", 0.0))
+        errors = force_errors(point, result.history[-1].get("weight", 0.0))
     except (TactorchError, MemoryError, RuntimeError) as error:
         _log.info("whether the forces are wrong is not known: %s", error)
         return result
-    if level is None:
+    if errors is None or not errors.are_likely:
         return result
     reason = (
-        f"its structure is better explained by forces that are wrong by about {level:.0%}, which "
-        "an element map takes for exact. Use method=inclusions, which allows for it, or check the "
-        "calibration of the force sensor."
+        f"its structure is better explained by forces that are wrong by about {errors.level:.0%}, "
+        "which an element map takes for exact. Use method=inclusions, which allows for it, or "
+        "check the calibration of the force sensor."
     )
     return replace(result, lumps=(), reasons=(reason,))
 

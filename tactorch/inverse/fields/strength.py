@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 _POISSON_TERM = 1.5  # of the strength, for nearly incompressible bodies
-_MAX_LOG_CHANGE = 0.7  # of radius or contrast in one step
+_MAX_LOG_CHANGE = 0.7  # of radius or contrast in one step: a factor of two
 
 
 def from_logs(logs: Float[np.ndarray, "*k 2"]) -> Float[np.ndarray, "*k 2"]:

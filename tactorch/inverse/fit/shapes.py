@@ -30,9 +30,11 @@ from tactorch.inverse.fit.optimizers.damped import (
 from tactorch.inverse.fit.optimizers.gauss_newton import GaussNewton
 from tactorch.inverse.forward.problem import Evaluation, InverseProblem
 
-_MAX_STEP, _MAX_Z = 0.5, 4.0  # of a coefficient, in standard deviations of its prior
-_MAX_TRIALS = 8  # of growing damping
-_ROUND_OFF = 0.5  # predicted fall below which errors of the derivatives may prevent a descent
+# Of a coefficient, in standard deviations of its prior, which excludes 6e-5 beyond four.
+_MAX_STEP, _MAX_Z = 0.5, 4.0
+_MAX_TRIALS = 8  # of growing damping, up to 1e5, where a step is negligible
+# Predicted fall, that of one standard deviation, below which errors of derivatives may hinder it.
+_ROUND_OFF = 0.5
 _NEVER = np.finfo(float).tiny  # relative fall that ends a fit: `_ShapeSteps` tells the end
 _DAMPING = Damping(least=1e-6, raised=1e-3, shrinkage=0.1, sufficient=1e-3, accepted=1e-3)
 

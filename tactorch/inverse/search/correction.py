@@ -50,7 +50,9 @@ _GROWTH = 0.5  # of the longest edge with the distance from the rim
 # Smallest load of a contact over its largest, between which changes are interpolated.
 _MIN_FACTOR, _MAX_FACTOR = 0.1, 0.8
 _NEAR_EDGE = 0.6  # edge that an inclusion needs at a contact near it, over that of the mesh
-_SAME_MODULI = 0.1  # largest change of log-moduli at a contact that the error at its rim outlasts
+# Largest change of log-moduli at a contact that the error at its rim outlasts: it then changes by a
+# tenth, less than what is allowed for (`_REMAINING` in `tactorch.inverse.errors.discretisation`).
+_SAME_MODULI = 0.1
 # Equilibria far more accurate than the noise of a sensor, by one or two steps from the common mesh.
 _NEWTON = NewtonOptions(rtol=1e-3)
 _AT_EDGE_MM = 1e-6  # distance of nodes from an edge that they are on

@@ -27,16 +27,34 @@ _STEPS = 8  # of reweighted least squares
 _MAX_STRUCTURE = 0.7
 
 
-def wrong_forces(point: Point, weight: float) -> float | None:
-    """Return the relative deviation of the forces that explains the presses better than structure.
+class ForceErrors(NamedTuple):
+    """Errors of the forces of each press beside an element map.
+
+    Attributes:
+        level: Relative deviation of the forces of the largest log-evidence.
+        gain: Its log-evidence over that of exact forces.
+        structure: Penalty of the map with these errors, over that without.
+    """
+
+    level: float
+    gain: float
+    structure: float
+
+    @property
+    def are_likely(self) -> bool:
+        """Whether they explain the presses better than the structure of the map."""
+        return self.gain > MIN_GAIN and self.structure < _MAX_STRUCTURE
+
+
+def force_errors(point: Point, weight: float) -> ForceErrors | None:
+    """Return the most probable errors of the forces.
 
     Args:
         point: Optimum of the objective, with one modulus per element.
         weight: Weight of the prior there.
 
     Returns:
-        The deviation of the largest log-evidence; None where exact forces have as much, for more
-        than 6,000 parameters, and where a press has no forces.
+        The errors; None for more than 6,000 parameters, and where a press has no forces.
     """
     has_forces = all(press.forces.any() for press in point.objective.problem.recording.presses)
     if len(point.x) > _MAX_PARAMETERS or not has_forces or len(point.z):
@@ -46,9 +64,8 @@ def wrong_forces(point: Point, weight: float) -> float | None:
     exact = _optimum(point, weight, 0.0 * patterns[:, :1])
     others = [_optimum(point, weight, level * patterns) for level in Forces.levels]
     best = int(np.argmin([other.value for other in others]))
-    gain, penalty = exact.value - others[best].value, others[best].penalty
-    is_wrong = gain > MIN_GAIN and penalty < _MAX_STRUCTURE * exact.penalty
-    return Forces.levels[best] if is_wrong else None
+    gain, structure = exact.value - others[best].value, others[best].penalty / exact.penalty
+    return ForceErrors(Forces.levels[best], gain, structure)
 
 
 class _Optimum(NamedTuple):

@@ -19,12 +19,14 @@ _log = logging.getLogger(__name__)
 # Smallest standard deviations of the logarithms of radius and contrast with which the posterior is
 # taken about the ridge.
 _MIN_DEVIATION = np.array([0.05, 0.1])
-_TOLERANCE = 0.1  # of the fit whose posterior it is
-_MAX_POINTS = 6  # on each side of the best fit
+_TOLERANCE = 0.1  # of the fit whose posterior it is: within half a standard deviation
+_MAX_POINTS = 6  # on each side of the best fit: to 3.6 standard deviations of the prior
 # Predicted fall of the objective below which a point of a ridge is not fitted further: the
 # predicted optimum is right within a tenth then.
 _RIDGE_TOLERANCE = 5.0
-_RISE = 2.0  # of half the sum of squares from one point of a ridge to the next
+# Rise of half the sum of squares from one point of a ridge to the next: two standard deviations of
+# a normal posterior.
+_RISE = 2.0
 _MAX_RISE = 2.5  # at the last points; that of the ends of a central 90 % interval is 1.35
 _MAX_STEP, _MIN_STEP = 0.6, 0.01  # of a parameter, in standard deviations of its prior
 

@@ -11,11 +11,11 @@ from tactorch.inverse.fields import Candidate
 from tactorch.inverse.forward.problem import InverseProblem
 from tactorch.mesh import TetMesh
 
-_CENTRES = 400  # candidates, on an even grid in the bounding box
-_RADII = (0.1, 0.2)  # of the candidates, over the size of the body
-_RODS = (0.2, 0.4)  # half-lengths of rods, over the size of the body
-_ROD_RADIUS = 0.07  # over the size of the body
-_DIRECTIONS = 6  # of rods
+# Candidates are on an even grid in the bounding box, whose spacing in a cube is 0.14 of its size:
+# between the two radii of balls, so that one of them overlaps any inclusion that the data resolve.
+_CENTRES, _RADII = 400, (0.1, 0.2)  # number, and radii over the size of the body
+# Half-lengths and radius of rods over the size of the body, and their directions, 30 degrees apart.
+_RODS, _ROD_RADIUS, _DIRECTIONS = (0.2, 0.4), 0.07, 6
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,14 +19,17 @@ from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.inverse.search.held_out import held_out_score
 from tactorch.recording import Recording
 
-MIN_GAIN = 3.0  # of the log-evidence, for a model that is accepted
+# Gain of the log-evidence for a model that is accepted: strong evidence by R. E. Kass and A. E.
+# Raftery, "Bayes factors", J. Am. Stat. Assoc. 90 (1995), 773-795.
+MIN_GAIN = 3.0
 DEGREES = (2, 4)  # of smooth backgrounds
-# Smallest linearised reduction of the misfit that is worth a fit: the best of a few hundred balls
-# reduces that of pure noise by six or so.
+# Smallest linearised reduction of the misfit that is worth a fit: the best of n independent ones
+# reduces that of pure noise by about log n, which is 6.7 for the balls of the matched filter.
 MIN_CANDIDATE_GAIN = 8.0
 MAX_LOG_ODDS = 1e6  # where the model without an inclusion has no equilibrium
-_START_CONTRAST = (0.3, 1.5)  # range of the log-contrast of a start
-_MAX_START_CONTRAST = 1.0  # log-contrast of a start with quadratic elements
+# Range of the log-contrast of a start with linear elements, and its limit with quadratic ones. The
+# far field of a ball, (c - 1) / (c + 3/2), is 0.6 and 0.4 of its limit there, see `moderate`.
+_START_CONTRAST, _MAX_START_CONTRAST = (0.3, 1.5), 1.0
 
 
 @dataclass(frozen=True, eq=False)

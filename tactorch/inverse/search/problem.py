@@ -31,10 +31,14 @@ _TRIAL_STEPS = 8  # of Gauss-Newton with linear elements
 # Error of the discretisation that remains after its correction, over the displacements. It is the
 # same in all presses of a contact.
 _DISCRETISATION = 1e-3
-_MAX_ROUGH_CHI2 = 3.0  # of models that are corrected during the search
+# Mean squared residual of models that are corrected during the search: where the signal that is
+# not explained exceeds the noise, the error of the discretisation does not matter yet.
+_MAX_ROUGH_CHI2 = 3.0
 _SAME_MODEL = 3.0  # change of a parameter that a correction outlasts, in standard deviations
-_DERIVATIVE_RTOL = 2e-3  # of the solves for derivatives
-_ROUGH_TOLERANCE, _TOLERANCE = 0.5, 0.02  # of fits; rough with quadratic elements, but the last
+_DERIVATIVE_RTOL = 2e-3  # of the solves for derivatives: far below the curvature of the objective
+# Tolerances of fits: within one standard deviation of the optimum, and a sixth of the gain by which
+# models are accepted; and within a fifth of a standard deviation, for the last fit.
+_ROUGH_TOLERANCE, _TOLERANCE = 0.5, 0.02
 _RTOL = 1e-6  # of equilibria: far below the noise of a sensor
 
 

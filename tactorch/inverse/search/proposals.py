@@ -24,8 +24,8 @@ from tactorch.linalg import map_cases
 
 _log = logging.getLogger(__name__)
 _STARTS = 3  # fits of each further inclusion
-_LAYERS = 8  # largest wave number of layers
-_SAME = 2.0  # distance of centres, in radii, below which two starts are of the same ball
+_LAYERS = 8  # largest wave number of layers: half a wave is an eighth of the body
+_SAME = 2.0  # distance of centres, in radii, below which two starts are of the same ball: touching
 
 
 def propose(problem: ShapeProblem, model: Model, max_shapes: int) -> list[Proposal]:

@@ -14,8 +14,10 @@ from tactorch.mesh.refine import Sizing
 from tactorch.mesh.sharp_edges import distance_from_sharp_edges
 from tactorch.recording import Press, Recording, refine_recording
 
-_PER_RADIUS = 0.5  # longest edge at the boundary of an inclusion, over its radius
-_GROWTH = 0.25  # of the longest edge with the distance from the boundary
+# Longest edge at the boundary of an inclusion over its radius, and its growth with the distance.
+# The strain falls with the third power of the distance r from the centre: by a factor of two within
+# an element where edges are a quarter of r, as they are far away.
+_PER_RADIUS, _GROWTH = 0.5, 0.25
 _PER_GAP = 0.25  # longest edge at the observed surface, over its distance from an inclusion
 _GAP_GROWTH = 0.5  # of the longest edge with the distance from the surface
 _NEAR = 2.0  # largest distance of the surface from an inclusion, over the inclusion's radius
