@@ -51,6 +51,18 @@ class MarkerAppearance(Options):
     )
 
 
+def marker_appearance(
+    sensor: SensorDescription, diameter_px: float | None = None
+) -> MarkerAppearance | None:
+    """Return the appearance of a sensor's markers; None for a sensor without markers."""
+    if diameter_px is not None:
+        return MarkerAppearance(diameter_px)
+    if sensor.markers is None:
+        return None
+    x, y = sensor.mm_per_px
+    return MarkerAppearance(sensor.markers.diameter_mm / (x * y) ** 0.5)
+
+
 @dataclass(frozen=True)
 class TrackOptions(Options):
     """Tolerances of marker tracking."""
