@@ -60,12 +60,7 @@ def fit_map(
     """Fit the map from colors to slopes together with the contacts.
 
     Presses whose slopes disagree with those of the others are left out of the fit of the map.
-
-    Args:
-        presses: Presses of the ball.
-        ball: Ball, and the size of a pixel.
-        options: Fit options.
-        progress: Callback with the number of finished rounds and of all.
+    `progress` receives the number of finished rounds and of all.
 
     Returns:
         The map, and the presses with fitted contacts; `outlying` marks those that disagree.
@@ -127,9 +122,8 @@ def _initial_contacts(presses: list[BallPress], ball: Ball, seed: int) -> list[B
 
 def _with_steepest_contact(press: BallPress, ball: Ball) -> BallPress:
     """Return a press with the radius where its colors change most."""
-    strength, center = np.linalg.norm(press.change, axis=-1), press.contact.center_px
-    radius = steepest_contact(strength, press.known, ball, center) / ball.mm_per_px[0]
-    return _with_contact(press, center, radius)
+    radius = steepest_contact(press, ball) / ball.mm_per_px[0]
+    return _with_contact(press, press.contact.center_px, radius)
 
 
 def fit_contact(press: BallPress, slope_map: SlopeMap, ball: Ball) -> BallPress:
@@ -160,8 +154,10 @@ def fit_contact(press: BallPress, slope_map: SlopeMap, ball: Ball) -> BallPress:
         misfit, start, method="Nelder-Mead",
         options={"xatol": 0.05, "fatol": 1e-6, "initial_simplex": simplex},
     ).x  # fmt: skip
-    radius = _contact_radius(slopes, press, ball, Circle((x, y), circle.radius_px))
-    return _with_contact(press, (x, y), radius)
+    width = ball.mm_per_px[0]
+    outward, seen = _outward_slopes(slopes, press, ball, Circle((x, y), circle.radius_px))
+    profile = fit_profile(outward, seen, ball, circle.radius_px * width)
+    return _with_contact(press, (x, y), profile.contact_mm / width)
 
 
 def _with_contact(press: BallPress, center: tuple[float, float], radius_px: float) -> BallPress:
@@ -176,13 +172,6 @@ def fit_new_contact(press: BallPress, slope_map: SlopeMap, ball: Ball) -> BallPr
     for _ in range(_PASSES):
         press = fit_contact(press, slope_map, ball)
     return press
-
-
-def _contact_radius(slopes: np.ndarray, press: BallPress, ball: Ball, circle: Circle) -> float:
-    """Radius of a contact by the slopes around its center, pixels."""
-    outward, seen = _outward_slopes(slopes, press, ball, circle)
-    width = ball.mm_per_px[0]
-    return fit_profile(outward, seen, ball, circle.radius_px * width).contact_mm / width
 
 
 def _outward_slopes(

@@ -44,12 +44,10 @@ class MapQuality:
     def pool(cls, parts: "Sequence[MapQuality]") -> "MapQuality":
         """Return the errors of groups of presses, weighted by their pixels."""
         counts = [part.pixels for part in parts]
-        r2 = np.average([part.r2 for part in parts], axis=0, weights=counts)
-        mae = np.average([part.mae for part in parts], axis=0, weights=counts)
-        squares = np.average([part.depth_rms_mm**2 for part in parts], weights=counts)
-        depth = float(np.sqrt(squares))
+        rows = [(*part.r2, *part.mae, part.depth_rms_mm**2) for part in parts]
+        *slopes, square = np.average(rows, axis=0, weights=counts).tolist()
         flat = _root_mean_square(np.array([part.flat_slope for part in parts]))
-        return cls(tuple(r2.tolist()), tuple(mae.tolist()), depth, sum(counts), flat)
+        return cls(tuple(slopes[:2]), tuple(slopes[2:]), square**0.5, sum(counts), flat)
 
 
 def evaluate_map(slope_map: SlopeMap, presses: Sequence[BallPress], ball: Ball) -> MapQuality:
