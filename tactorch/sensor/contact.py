@@ -32,7 +32,6 @@ from tactorch.sensor.gel import GelContact
 from tactorch.sensor.poses import Pose, check_pose, rotate_vectors, transform_points
 from tactorch.sensor.transfer import transfer_forces
 
-__all__ = ["ContactOptions", "build_press"]
 #: Smallest cosine between the sensor axis and the inward normal of a face that may be in contact.
 MIN_FACING = 0.5
 _AT_EDGE_MM = 1e-6  # distance of nodes from an edge that they are on

@@ -66,11 +66,6 @@ def _batch(values: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float64))[None]
 
 
-def _to_numpy(images: torch.Tensor) -> np.ndarray:
-    """Return the only image of a batch, rows x columns x colors."""
-    return np.ascontiguousarray(images[0].movedim(0, -1).numpy())
-
-
 @dataclass(frozen=True)
 class RenderOptions(Options):
     """Appearance of a simulated sensor."""
@@ -157,7 +152,8 @@ def render(
     rest = sensor.gel.height_mm(pixel_positions(sensor)).reshape(sensor.shape)
     markers = None if sensor.markers is None else _batch(surface.markers_px)
     with torch.no_grad():
-        light = _to_numpy(options.camera(sensor)(_batch(rest + surface.height_mm), markers))
+        images = options.camera(sensor)(_batch(rest + surface.height_mm), markers)
+    light = np.ascontiguousarray(images[0].movedim(0, -1).numpy())
     if seed is not None and options.noise > 0:
         light += np.random.default_rng(seed).normal(0.0, options.noise, light.shape)
     return np.clip(light.round(), 0, 255).astype(np.uint8)

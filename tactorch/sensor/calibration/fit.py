@@ -78,9 +78,8 @@ def fit_map(
     if options.rounds > 0:
         fitted = _initial_contacts(fitted, ball, options.seed)
     for number in range(options.rounds + 1):
-        agreeing = [press for press in fitted if not press.outlying]
-        radii = _training_radii(agreeing, slope_map if number > 0 else None, ball)
-        _fit_map_to_contacts(slope_map, agreeing, radii, ball, options.seed + number)
+        found_by = slope_map if number > 0 else None
+        _fit_map_to_contacts(slope_map, fitted, found_by, ball, options.seed + number)
         if number < options.rounds:
             fitted = [fit_contact(press, slope_map, ball) for press in fitted]
             fitted = _mark_outlying(fitted, slope_map, ball)
@@ -93,21 +92,8 @@ def fit_to_contacts(
 ) -> SlopeMap:
     """Return a map fitted to contacts that another map has found."""
     slope_map = options.create(seed)
-    agreeing = [press for press in presses if not press.outlying]
-    radii = _training_radii(agreeing, found_by, ball)
-    _fit_map_to_contacts(slope_map, agreeing, radii, ball, seed)
+    _fit_map_to_contacts(slope_map, presses, found_by, ball, seed)
     return slope_map
-
-
-def _training_radii(
-    presses: Sequence[BallPress], slope_map: SlopeMap | None, ball: Ball
-) -> list[float]:
-    """Radii of the pixels that a map is fitted to, at most where the present map is right."""
-    radii = [_TRAINING_RADIUS * press.contact.radius_px for press in presses]
-    if slope_map is None:
-        return radii
-    resolved = [_resolved_radius(press, slope_map, ball) for press in presses]
-    return [min(pair) for pair in zip(radii, resolved, strict=True)]
 
 
 def _initial_contacts(presses: list[BallPress], ball: Ball, seed: int) -> list[BallPress]:
@@ -221,16 +207,24 @@ def _slope_error(press: BallPress, slope_map: SlopeMap, ball: Ball) -> float:
 def _fit_map_to_contacts(
     slope_map: SlopeMap,
     presses: Sequence[BallPress],
-    radii_px: Sequence[float],
+    found_by: SlopeMap | None,
     ball: Ball,
     seed: int,
 ) -> None:
-    """Fit the map to the ball's slopes within these radii, and to zero where the gel is flat."""
+    """Fit the map to the ball's slopes inside contacts that agree, and to zero where it is flat.
+
+    Of a contact, only the pixels are used at which the map `found_by` follows the ball.
+    """
     rng = np.random.default_rng(seed)
     features, slopes = [], []
-    for press, radius in zip(presses, radii_px, strict=True):
+    for press in presses:
+        if press.outlying:
+            continue
         circle = press.contact
         ball.check(circle, press.name)
+        radius = _TRAINING_RADIUS * circle.radius_px
+        if found_by is not None:
+            radius = min(radius, _resolved_radius(press, found_by, ball))
         rows = pixel_features(press.change)
         distance = np.where(press.known, ball.distance(press.shape, circle), np.nan).ravel()
         inside = _draw(rng, np.flatnonzero(distance * circle.radius_px < radius), _PIXELS)

@@ -131,18 +131,19 @@ def select_map(
     Returns:
         The name of the map, and the errors of each evaluated map by name.
     """
-    options, quality, scores = options or FitOptions(), dict[str, MapQuality](), dict[str, float]()
-    candidates = {name: SENSOR_MAPS.build(name) for name in SENSOR_MAPS.names()}
-    candidates = {name: each for name, each in candidates.items() if each.automatic}
-    if not positions_differ(presses):
-        candidates = {k: each for k, each in candidates.items() if not each.uses_position}
-    for number, (name, candidate) in enumerate(candidates.items()):
+    options, quality = options or FitOptions(), dict[str, MapQuality]()
+    differ = positions_differ(presses)
+    maps = {name: SENSOR_MAPS.build(name) for name in SENSOR_MAPS.names()}
+    maps = {k: m for k, m in maps.items() if m.automatic and (differ or not m.uses_position)}
+    for number, (name, candidate) in enumerate(maps.items(), start=1):
         quality[name] = cross_validate(presses, ball, replace(options, map=candidate), folds)
-        scores[name] = sum(quality[name].mae)
-        if candidate.uses_position:
-            scores[name] /= 1.0 - _POSITION_GAIN
-        progress(number + 1, len(candidates))
-    return min(scores, key=lambda name: scores[name]), quality
+        progress(number, len(maps))
+
+    def score(name: str) -> float:
+        gain = _POSITION_GAIN if maps[name].uses_position else 0.0
+        return sum(quality[name].mae) / (1.0 - gain)
+
+    return min(maps, key=score), quality
 
 
 def positions_differ(presses: Sequence[BallPress]) -> bool:

@@ -19,8 +19,6 @@ from tactorch.sensor.gel.force_expansion import expand_forces
 from tactorch.sensor.gel.force_fit import ForceFit, Mask, Vectors, require_push
 from tactorch.sensor.gel.model import GelContact, GelModel
 
-__all__ = ["ForceOptions", "ForceSolver"]
-
 #: Displacement over the gel's thickness up to which `deformation=auto` takes the gel as linear.
 LINEAR_FRACTION = 0.05
 

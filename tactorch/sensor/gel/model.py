@@ -31,8 +31,6 @@ _NOISE_FRACTION = 0.1  # acceptable linearization error, relative to the noise
 # or of the error in the previous iteration.
 _DISPLACEMENT_FRACTION, _ERROR_DECREASE = 0.05, 0.3
 
-__all__ = ["GelContact", "GelModel", "GelOptions"]
-
 FaceVectors = Float[np.ndarray, "k 3"]
 FaceMask = Bool[np.ndarray, " k"]
 
