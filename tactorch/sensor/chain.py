@@ -126,12 +126,8 @@ class Measurement:
 class SensorChain:
     """Processing chain of a calibrated sensor, frame by frame.
 
-    Args:
-        sensor: Sensor description.
-        calibration: Map from colors to slopes.
-        reference: Image of the gel without contact.
-        model: Model of the gel; None for one with cells of 1 mm.
-        options: Processing options.
+    The `reference` is the image of the gel without contact; the model of the gel has cells of 1 mm
+    unless one is given.
 
     Attributes:
         tracker: Tracker of the markers; None for a sensor without markers.

@@ -195,12 +195,8 @@ class MarkerTracker:
     reference alone (`tactorch.sensor.marker_match`), and the better assignment is used. Markers
     whose assignment is ambiguous then are not seen.
 
-    Args:
-        reference: Image of the gel without contact.
-        appearance: Appearance of the markers.
-        options: Tolerances.
-
     Attributes:
+        reference: Image of the gel without contact.
         reference_px: Markers in the reference (column, row).
         spacing_px: Median distance of neighboring markers.
         neighbors: Indices of each marker's neighbors.

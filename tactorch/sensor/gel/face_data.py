@@ -88,11 +88,8 @@ class FaceData:
         The stated deviations of the depth become independent and smooth errors, the latter as a
         Gaussian process with a Matern covariance of smoothness 3/2, and one of the level of the
         contact. Deviations near its edge are increased, since elements there do not follow the
-        singular field (a gel with exact data had up to 4 % too much force otherwise).
-
-        Args:
-            distance: Distance from the edge of the contact.
-            edge_mm: Length of the edges of elements there.
+        singular field (a gel with exact data had up to 4 % too much force otherwise); `edge_mm` is
+        the length of the edges of elements there.
         """
         depth = self.axes == 2
         away, points = distance(self.points_mm), self.points_mm[depth]
