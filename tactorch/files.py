@@ -5,6 +5,7 @@ import json
 import math
 import os
 import re
+import shutil
 import sys
 import uuid
 from collections.abc import Iterator, Mapping
@@ -43,8 +44,9 @@ def cache_folder() -> Path:
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Give a temporary sibling of `path` to write to; rename it to `path` on success.
 
-    The folder of `path` is created. A process killed in between leaves `path` as it was. The
-    temporary file keeps the suffix, because many writers choose their format by it.
+    It may become a file or a folder. The folder of `path` is created. A process killed in between
+    leaves `path` as it was. The temporary file keeps the suffix, because many writers choose their
+    format by it.
     """
     target = Path(path)
     temporary = target.with_name(f".{target.stem}.{uuid.uuid4().hex[:8]}.part{target.suffix}")
@@ -58,6 +60,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
             "space, or choose another place."
         ) from error
     finally:
+        if temporary.is_dir():
+            shutil.rmtree(temporary, ignore_errors=True)
         with suppress(OSError):
             temporary.unlink()
 

@@ -21,7 +21,6 @@ from tactorch.phantoms import Phantom, RandomPhantom
 from tactorch.phantoms.draws import check_ranges
 from tactorch.recording import MaterialSpec
 from tactorch.simulation import PressPlan
-from tactorch.touch.gel import GelPart
 from tactorch.touch.options import TouchOptions
 from tactorch.touch.scene import check_material
 
@@ -196,7 +195,7 @@ class Recipe(Options):
         sensor = self.touch.description()
         check_material(self.material, sensor)
         try:
-            GelPart.of(sensor.gel, self.touch.gel_edge_mm, self.touch.gel_layers)
+            self.touch.gel_mesh(sensor.gel)
         except ConfigError as error:
             raise ConfigError(f"dataset.touch.gel_edge_mm: {error}") from error
 

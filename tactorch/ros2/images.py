@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -11,10 +12,10 @@ from tactorch.errors import FileError
 from tactorch.files import write_file
 from tactorch.ros2.bag import Bag
 from tactorch.ros2.tracks import PoseTrack
+from tactorch.ros2.transforms import MAX_BACK_S
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 _MAX_PIXELS = 100_000_000
-_MAX_BACK_S = 0.05  # by which messages may be out of order; more is a clock that was set back
 # Channels of an encoding of 8 bits, and OpenCV's code of the conversion to blue, green, red.
 _ENCODINGS: dict[str, tuple[int, str]] = {
     "bgr8": (3, ""), "8uc3": (3, ""), "rgb8": (3, "COLOR_RGB2BGR"), "bgra8": (4, "COLOR_BGRA2BGR"),
@@ -53,12 +54,8 @@ def unpack_frames(
     kind), `frames/times.csv` (frame, time_s) and `poses.csv` (time_s, x_mm, y_mm, z_mm, qw, qx, qy,
     qz). Times are since the first frame.
 
-    Args:
-        bag: The bag.
-        topic: Topic of images; None for the only one.
-        poses: Poses of the sensor.
-        folder: Folder to write to.
-        progress: Called with the number of messages that are read, and their total.
+    A topic of None is the only one of images; `progress` receives the number of messages that are
+    read, and their total.
 
     Raises:
         FileError: There is no such topic, or no image with a pose; an image has an unknown
@@ -73,7 +70,7 @@ def unpack_frames(
     for count, (received, message) in enumerate(bag.messages(topic), start=1):
         progress(count, total)
         time_s = bag.seconds(message.header, received, topic)
-        if time_s < last_s - _MAX_BACK_S:
+        if time_s < last_s - MAX_BACK_S:
             raise FileError(
                 f"{what}: times run back by {last_s - time_s:.3g} s after {last_s:.3f} s. Cut the "
                 "bag there."
@@ -141,8 +138,6 @@ def encode(message: Any, what: str) -> tuple[bytes, str]:
             f"{what}: the image is incomplete: {len(data)} bytes, rows of {step}, for {width} x "
             f"{height} px of {encoding}."
         )
-    import cv2
-
     rows = data[: height * step].reshape(height, step)[:, : width * channels]
     image: Any = np.ascontiguousarray(rows.reshape(height, width, channels))
     if conversion:

@@ -3,7 +3,7 @@
 ROS has metres; they are converted here. Times are since the begin of the bag, s.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from tactorch.errors import FileError
 from tactorch.ros2.bag import Bag
-from tactorch.ros2.transforms import Track, TransformTree, increasing, rigid
+from tactorch.ros2.transforms import Chain, Track, TransformTree, increasing, rigid
 
 POSE, TRANSFORMS = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
@@ -22,22 +22,16 @@ Times = Float[np.ndarray, " n"]
 
 
 @dataclass(frozen=True, eq=False)
-class PoseTrack:
+class PoseTrack(Chain):
     """Pose of a frame in another one over time.
 
     Attributes:
         frame: Name of the frame that poses are in.
-        begin_s: First time with a pose.
-        end_s: Last time with a pose.
-        at: Poses at times (n,) within, (n, 4, 4), mm; raises `FileError` in a gap.
         rotation_of: Rotations from the axes of a named frame to those of `frame` at times, (n, 3,
             3); raises `FileError` where the frame is unknown.
     """
 
     frame: str
-    begin_s: float
-    end_s: float
-    at: Callable[[Times], np.ndarray]
     rotation_of: Callable[[str, Times], np.ndarray]
 
 
@@ -101,19 +95,18 @@ def read_poses(
     def rotation_of(name: str, times: Times) -> np.ndarray:
         return tree.between(frame, name).at(times)[:, :3, :3]
 
-    return PoseTrack(frame, between.begin_s, between.end_s, between.at, rotation_of)
+    return PoseTrack(between.up, between.down, frame, rotation_of)
 
 
 def _track_of_poses(bag: Bag, topic: str, max_gap_s: float) -> PoseTrack:
     """Return the poses of a topic of poses; wrenches are in their frame, or turn with the tool."""
-    times, poses, frame = [], [], ""
-    for received, message in bag.messages(topic):
-        time_s = bag.seconds(message.header, received, topic)
+    what, poses, times = f"bag '{bag.path}': {topic}", [], []
+    for time_s, message in _stamped(bag, topic):
         place, turn = message.pose.position, message.pose.orientation
-        poses.append(rigid(place, turn, f"bag '{bag.path}': {topic} at {time_s:.3f} s"))
+        poses.append(rigid(place, turn, f"{what} at {time_s:.3f} s"))
         times.append(time_s)
-        frame = _same_frame(frame, message, len(times), f"bag '{bag.path}': {topic}")
-    track = Track(np.array(times), np.array(poses), f"bag '{bag.path}': {topic}", max_gap_s)
+    frame = str(message.header.frame_id)
+    track = Track(np.array(times), np.array(poses), what, max_gap_s)
 
     def rotation_of(name: str, at: Times) -> np.ndarray:
         if name.lstrip("/") == frame.lstrip("/"):
@@ -121,18 +114,21 @@ def _track_of_poses(bag: Bag, topic: str, max_gap_s: float) -> PoseTrack:
         rotations: np.ndarray = track.at(at)[:, :3, :3]
         return rotations
 
-    return PoseTrack(frame, track.begin_s, track.end_s, track.at, rotation_of)
+    return PoseTrack([], [track], frame, rotation_of)
 
 
-def _same_frame(frame: str, message: Any, count: int, what: str) -> str:
-    """Return the frame of a message, the number `count`; refuse another one than before."""
-    new = str(message.header.frame_id)
-    if count > 1 and new != frame:
-        raise FileError(
-            f"{what} has messages in the frames {frame!r} and {new!r}; leave one of the publishers "
-            "out."
-        )
-    return new
+def _stamped(bag: Bag, topic: str) -> Iterator[tuple[float, Any]]:
+    """Yield the messages of a topic with their times, s; refuse another frame than before."""
+    frame = None
+    for received, message in bag.messages(topic):
+        new = str(message.header.frame_id)
+        if new != (frame or new):
+            raise FileError(
+                f"bag '{bag.path}': {topic} has messages in the frames {frame!r} and {new!r}; leave"
+                " one of the publishers out."
+            )
+        frame = new
+        yield bag.seconds(message.header, received, topic), message
 
 
 def read_wrenches(bag: Bag, topic: str | None, max_gap_s: float) -> WrenchTrack:
@@ -144,22 +140,19 @@ def read_wrenches(bag: Bag, topic: str | None, max_gap_s: float) -> WrenchTrack:
     """
     topic = bag.choose(topic, (WRENCH,), "wrench_topic")
     what = f"bag '{bag.path}': {topic}"
-    times, forces, frame = [], [], ""
-    for received, message in bag.messages(topic):
-        times.append(bag.seconds(message.header, received, topic))
+    times, forces = [], []
+    for time_s, message in _stamped(bag, topic):
         force = message.wrench.force
+        times.append(time_s)
         forces.append((force.x, force.y, force.z))
-        frame = _same_frame(frame, message, len(times), what)
     array = np.array(forces, dtype=np.float64)
-    time_s, kept = increasing(np.array(times), what)
+    at_s, kept = increasing(np.array(times), what)
     array = array[kept]
-    finite = np.isfinite(array).all(axis=1)
-    if not finite.all():
-        first = float(time_s[np.argmin(finite)])
-        raise FileError(f"{what} has a force that is not finite at {first:.3f} s; leave it out.")
-    for i in np.flatnonzero(np.diff(time_s) > max_gap_s):
+    for i in np.flatnonzero(~np.isfinite(array).all(axis=1)):
+        raise FileError(f"{what} has a force that is not finite at {at_s[i]:.3f} s; leave it out.")
+    for i in np.flatnonzero(np.diff(at_s) > max_gap_s):
         raise FileError(
-            f"{what} has no message from {time_s[i]:.3f} to {time_s[i + 1]:.3f} s; cut the bag "
+            f"{what} has no message from {at_s[i]:.3f} to {at_s[i + 1]:.3f} s; cut the bag "
             "there, or raise max_gap_s."
         )
-    return WrenchTrack(time_s, array, frame)
+    return WrenchTrack(at_s, array, str(message.header.frame_id))

@@ -12,8 +12,9 @@ from tactorch.sensor.poses import interpolate_poses
 
 _MM_PER_M = 1e3
 _QUATERNION_TOLERANCE = 1e-2
-_MAX_BACK_S = 0.05  # by which messages may be out of order; more is a clock that was set back
 _SHOWN = 20  # frames that a message lists
+#: By which messages may be out of order, s; more is a clock that was set back.
+MAX_BACK_S = 0.05
 Poses = Float[np.ndarray, "n 4 4"]
 Times = Float[np.ndarray, " n"]
 
@@ -44,8 +45,8 @@ def increasing(times: Times, what: str) -> tuple[Times, Int[np.ndarray, " k"]]:
         FileError: Times run back by more than messages that are out of order.
     """
     back = np.maximum.accumulate(times) - times
-    if len(times) and back.max() > _MAX_BACK_S:
-        i = int(np.argmax(back > _MAX_BACK_S))
+    if len(times) and back.max() > MAX_BACK_S:
+        i = int(np.argmax(back > MAX_BACK_S))
         raise FileError(
             f"{what}: times run back by {back[i]:.3g} s after {times[i] + back[i]:.3f} s. Was the "
             "clock set, or a bag played again? Cut the bag there."
@@ -102,14 +103,13 @@ class Track:
                 f"{self.what} is known from {self.begin_s:.3f} to {self.end_s:.3f} s, and needed at"
                 f" {outside[0]:.3f} s; cut the bag to the times of all transforms."
             )
-        if len(self.time_s) == 1:
-            return np.tile(self.poses[-1], (len(times), 1, 1))
-        right = np.clip(np.searchsorted(self.time_s, times), 1, len(self.time_s) - 1)
-        gaps = self.time_s[right] - self.time_s[right - 1]
-        inner = (times != self.time_s[right]) & (times != self.time_s[right - 1])
+        right = np.searchsorted(self.time_s, times)
+        left = np.maximum(right - 1, 0)
+        gaps = self.time_s[right] - self.time_s[left]
+        inner = times != self.time_s[right]
         for i in np.flatnonzero((gaps > self.max_gap_s) & inner):
             raise FileError(
-                f"{self.what} has no message from {self.time_s[right[i] - 1]:.3f} to "
+                f"{self.what} has no message from {self.time_s[left[i]]:.3f} to "
                 f"{self.time_s[right[i]]:.3f} s; cut the bag there, or raise max_gap_s."
             )
         return interpolate_poses(times, self.time_s, self.poses)

@@ -29,9 +29,9 @@ from tactorch.sensor.gel import (
     RefinedGel,
 )
 from tactorch.sensor.markers import (
-    MarkerAppearance,
     MarkerTracker,
     TrackOptions,
+    marker_appearance,
     marker_displacements,
 )
 
@@ -100,12 +100,12 @@ class Measurement:
         frame: Frame.
         markers_px: Markers in the reference's order (column, row); NaN for markers not seen, none
             for a sensor without markers.
+        in_contact: Nodes of the gel's face in contact.
         height: Height map of the face; None without an image.
         depth_mm: Depth of the face; NaN without an image.
         max_slope: Largest slope of the face; NaN without an image.
         displacement: Displacements of the nodes of the gel's face, mm, NaN where unknown: along
             x and y everywhere for a sensor without markers; None without contact.
-        in_contact: Nodes of the gel's face in contact.
         contact: Forces and displacements of the gel's face; None without contact, or before
             `SensorChain.solve_contact`.
         view: What the image shows of the contact; None without contact, or without the option
@@ -114,11 +114,11 @@ class Measurement:
 
     frame: Frame
     markers_px: Float[np.ndarray, "n 2"]
-    height: HeightMap | None
-    depth_mm: float
-    max_slope: float
-    displacement: Float[np.ndarray, "k 3"] | None
     in_contact: Bool[np.ndarray, " k"]
+    height: HeightMap | None = None
+    depth_mm: float = np.nan
+    max_slope: float = np.nan
+    displacement: Float[np.ndarray, "k 3"] | None = None
     contact: GelContact | None = None
     view: ContactView | None = None
 
@@ -126,12 +126,8 @@ class Measurement:
 class SensorChain:
     """Processing chain of a calibrated sensor, frame by frame.
 
-    Args:
-        sensor: Sensor description.
-        calibration: Map from colors to slopes.
-        reference: Image of the gel without contact.
-        model: Model of the gel; None for one with cells of 1 mm.
-        options: Processing options.
+    The `reference` is the image of the gel without contact; the model of the gel has cells of 1 mm
+    unless one is given.
 
     Attributes:
         tracker: Tracker of the markers; None for a sensor without markers.
@@ -156,9 +152,8 @@ class SensorChain:
         self.options = options or ChainOptions()
         self.forces = ForceSolver(self.model, self.options)
         self.tracker: MarkerTracker | None = None
-        if sensor.markers is not None:
-            diameter_px = sensor.markers.diameter_mm / float(np.sqrt(np.prod(sensor.mm_per_px)))
-            appearance = calibration.markers or MarkerAppearance(diameter_px)
+        if (expected := marker_appearance(sensor)) is not None:
+            appearance = calibration.markers or expected
             self.tracker = MarkerTracker(reference, appearance, self.options.track)
 
     def measure(self, frame: Frame) -> Measurement:
@@ -175,9 +170,9 @@ class SensorChain:
         """Track the markers into the next frame and measure the deformation, without forces."""
         no_markers = np.zeros((0, 2))
         markers_px = no_markers if self.tracker is None else self.tracker.track(frame.image)
-        nothing = np.zeros(len(self.model.points), dtype=bool)
+        found = Measurement(frame, markers_px, np.zeros(len(self.model.points), dtype=bool))
         if frame.image is None:
-            return Measurement(frame, markers_px, None, np.nan, np.nan, None, nothing)
+            return found
         height = self.calibration.height(
             frame.image,
             self.reference,
@@ -185,30 +180,28 @@ class SensorChain:
             min_slope=self.options.min_slope,
             mm_per_px=self.sensor.mm_per_px,
         )
-        size = height.depth_mm, height.max_slope
-        if height.depth_mm < self.options.min_depth_mm:
-            return Measurement(frame, markers_px, height, *size, None, nothing)
+        depth_mm, max_slope = height.depth_mm, height.max_slope
+        found = replace(found, height=height, depth_mm=depth_mm, max_slope=max_slope)
+        if depth_mm < self.options.min_depth_mm:
+            return found
         displacement = self._face_displacement(markers_px, height)
         in_contact = self._contact_nodes(height, displacement)
         if not in_contact.any():
-            return Measurement(frame, markers_px, height, *size, None, in_contact)
+            return found
         view = None
         if self.options.contact_edge_mm is not None and self.tracker is not None:
             at, moved = marker_displacements(
                 self.sensor, self.tracker.reference_px, markers_px, height.height_mm
             )
             view = ContactView(height.contact, at[:, :2], moved[:, :2])
-        state = (frame, markers_px, height, *size, displacement, in_contact)
-        return Measurement(*state, view=view)
+        return replace(found, displacement=displacement, in_contact=in_contact, view=view)
 
     def solve_contact(
         self, measurement: Measurement, outline: EdgeDistance | None = None
     ) -> GelContact | None:
         """Return the contact forces behind a measured deformation; None without contact.
 
-        Args:
-            measurement: Measured deformation.
-            outline: Distance from the outline of the object; None where its shape is unknown.
+        `outline` is the distance from the outline of the object; None where its shape is unknown.
         """
         if measurement.displacement is None:
             return None

@@ -7,6 +7,12 @@ Transferred forces keep their sum and their moment on any pair of meshes.
 Where the gel's contact is known along z only (depth alone), the press has forces along the sensor's
 axis and displacements along it, as readings of the surface: no component across it is observed. The
 same holds for the displacements where the gel slips, which the option `friction` determines.
+
+Coulomb friction limits the traction along the face to the coefficient of friction times the
+pressure. In a contact that is sheared, it reaches the limit at the edge first (R. D. Mindlin,
+"Compliance of elastic bodies in contact", J. Appl. Mech. 16 (1949), 259-268). There a point of the
+gel does not stay with the point of the object that it touched first. The forces are not affected,
+as they follow from the deformation of the gel.
 """
 
 from dataclasses import dataclass
@@ -24,19 +30,20 @@ from tactorch.mesh.sharp_edges import distance_from_sharp_edges
 from tactorch.recording import Press, PressErrors, SurfaceReading
 from tactorch.sensor.gel import GelContact
 from tactorch.sensor.poses import Pose, check_pose, rotate_vectors, transform_points
-from tactorch.sensor.slip import slipping_nodes
 from tactorch.sensor.transfer import transfer_forces
 
-__all__ = ["ContactOptions", "build_press"]
 #: Smallest cosine between the sensor axis and the inward normal of a face that may be in contact.
 MIN_FACING = 0.5
 _AT_EDGE_MM = 1e-6  # distance of nodes from an edge that they are on
+_NEAR_LIMIT = 0.9  # tangential over normal force, over the coefficient of friction
 _CONTACT_LEVEL = 0.5  # of the interpolated contact indicator
 
 Points = Float[np.ndarray, "k 3"]
 Nodes = Float[np.ndarray, "n 3"]
 Triangles = Int[np.ndarray, "t 3"]
 Vector = Float[np.ndarray, "3"]
+Flat = Float[np.ndarray, " k"]
+Flags = Bool[np.ndarray, " k"]
 
 
 @dataclass(frozen=True)
@@ -65,7 +72,7 @@ def build_press(
     pose: Pose,
     first_pose: Pose,
     mesh: TetMesh,
-    in_contact: Bool[np.ndarray, " k"],
+    in_contact: Flags,
     *,
     options: ContactOptions | None = None,
     **fields: Any,
@@ -126,7 +133,9 @@ def build_press(
         errors = rotate_vectors(pose, contact.errors.displacement)
         moved = _interpolate_each(paired, errors, points, normal)
         fields["errors"] = PressErrors(nodes, transferred[1:, nodes], moved)
-    along_only = observed[nodes, 0] & (normal_only or _slips(contact, in_contact, at_rest, options))
+    slipping = slipping_nodes(contact.forces, in_contact, options.friction)
+    slips = _interpolate_flags(contact.points, slipping, at_rest)
+    along_only = observed[nodes, 0] & (normal_only | slips)
     if along_only.any():
         rows = nodes[along_only]
         variance = 0.0 if moved is None else ((moved[:, along_only] @ axis) ** 2).sum(axis=0)
@@ -137,30 +146,26 @@ def build_press(
     return Press(transferred[0], observed, displacement, direction=axis, **fields)
 
 
-def _with_errors(
-    contact: GelContact, in_contact: Bool[np.ndarray, " k"]
-) -> Float[np.ndarray, "q k 3"]:
+def _with_errors(contact: GelContact, in_contact: Flags) -> Float[np.ndarray, "q k 3"]:
     """Return the forces on the gel at nodes in contact, N, then their errors."""
     sets = [contact.forces[None]] + ([] if contact.errors is None else [contact.errors.forces])
     return np.where(in_contact[:, None], np.concatenate(sets), 0.0)
 
 
-def _slips(
-    contact: GelContact, in_contact: Bool[np.ndarray, " k"], at: Nodes, options: ContactOptions
-) -> Bool[np.ndarray, " n"]:
-    """Return whether the gel slips at points of the object, in the frame of first contact."""
-    if options.friction is None:
-        return np.zeros(len(at), dtype=bool)
-    slipping = slipping_nodes(contact.forces, in_contact, options.friction)
-    return _interpolate_flags(contact.points, slipping, at)
+def slipping_nodes(forces: Points, in_contact: Flags, friction: float | None) -> Flags:
+    """Return the nodes of a gel's face that slip, by the forces on the gel in the sensor frame, N.
+
+    None does without a coefficient of friction.
+    """
+    if friction is None:
+        return np.zeros(len(forces), dtype=bool)
+    along, pressing = np.linalg.norm(forces[:, :2], axis=1), np.maximum(-forces[:, 2], 0.0)
+    at_limit = (along > 0.0) & (along >= _NEAR_LIMIT * friction * pressing)
+    return np.asarray(in_contact & at_limit)
 
 
 def _along_axis(
-    points: Points,
-    axis: Vector,
-    along_mm: Float[np.ndarray, " k"],
-    noise_mm: float | None,
-    variance_mm2: Float[np.ndarray, " k"] | float = 0.0,
+    points: Points, axis: Vector, along_mm: Flat, noise_mm: float | None, variance_mm2: Flat | float
 ) -> SurfaceReading:
     """Readings of displacements along an axis at points; the variance is added to the noise."""
     if not noise_mm:
@@ -170,9 +175,7 @@ def _along_axis(
     return SurfaceReading(points, directions, along_mm, deviations)
 
 
-def _interpolate_flags(
-    points: Points, flags: Bool[np.ndarray, " k"], targets: Float[np.ndarray, "n 3"]
-) -> Bool[np.ndarray, " n"]:
+def _interpolate_flags(points: Points, flags: Flags, targets: Nodes) -> Bool[np.ndarray, " n"]:
     """Interpolate flags of nodes of the gel's face to other points, in the sensor frame."""
     indicator = LinearNDInterpolator(points[:, :2], flags.astype(float), 0.0)
     return np.asarray(indicator(targets[:, :2]) >= _CONTACT_LEVEL)

@@ -13,22 +13,21 @@ from tactorch.mesh.closest import closest_points
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.gel import EdgeDistance
 
+Nodes = Float[np.ndarray, "k 3"]
+Positions = Float[np.ndarray, "n 2"]
+Distances = Float[np.ndarray, " n"]
+
 
 def image_edge(
     sensor: SensorDescription,
     contact: Bool[np.ndarray, "h w"],
-    points: Float[np.ndarray, "k 3"],
-    displacement: Float[np.ndarray, "k 3"],
+    points: Nodes,
+    displacement: Nodes,
     margin_mm: float = 0.0,
 ) -> EdgeDistance:
-    """Return the distance from the edge of the contact in an image.
+    """Return the distance from the edge of the contact in an image, which is widened by a margin.
 
-    Args:
-        sensor: Sensor description.
-        contact: Pixels in contact.
-        points: Points of the face at rest, mm.
-        displacement: Their displacements, mm; NaN where unknown.
-        margin_mm: Distance by which the contact is widened.
+    `points` are those of the face at rest, mm, with displacements that are NaN where unknown.
     """
     sampling = sensor.mm_per_px[::-1]
     inside = distance_transform_edt(contact, sampling=sampling)
@@ -43,7 +42,7 @@ def image_edge(
         else lambda rest: np.zeros(rest.shape)
     )
 
-    def distance(rest: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+    def distance(rest: Positions) -> Distances:
         columns, rows = sensor.to_px(rest + np.nan_to_num(moved(rest))).T
         return map_coordinates(signed, [rows, columns], order=1, mode="nearest")
 
@@ -53,20 +52,15 @@ def image_edge(
 def surface_edge(
     points: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "t 3"]
 ) -> EdgeDistance:
-    """Return the distance from the outline of a part of a surface, seen along z.
-
-    Args:
-        points: Points of the surface in the frame of the sensor, mm.
-        triangles: Triangles that face the gel.
-    """
-    flat = np.column_stack([points[:, :2], np.zeros(len(points))])
+    """Return the distance from the outline of triangles in the frame of the sensor, along z."""
+    flat = np.pad(points[:, :2], ((0, 0), (0, 1)))
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     unique, counts = np.unique(edges, axis=0, return_counts=True)
     starts, ends = points[unique[counts == 1].T, :2]
 
-    def distance(rest: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+    def distance(rest: Positions) -> Distances:
         away = _segment_distances(rest, starts, ends).min(axis=1)
-        queries = np.column_stack([rest, np.zeros(len(rest))])
+        queries = np.pad(rest, ((0, 0), (0, 1)))
         within = closest_points(flat, triangles, queries).distances < 1e-9
         return np.where(within, away, -away)
 
@@ -79,9 +73,7 @@ def common_edge(first: EdgeDistance, second: EdgeDistance) -> EdgeDistance:
 
 
 def _segment_distances(
-    points: Float[np.ndarray, "n 2"],
-    starts: Float[np.ndarray, "s 2"],
-    ends: Float[np.ndarray, "s 2"],
+    points: Positions, starts: Float[np.ndarray, "s 2"], ends: Float[np.ndarray, "s 2"]
 ) -> Float[np.ndarray, "n s"]:
     along = ends - starts
     relative = points[:, None] - starts

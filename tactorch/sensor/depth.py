@@ -23,6 +23,10 @@ _CONTACT_FRACTION = 0.35  # of the largest depth, above which contact is likely
 _RTOL, _LEVEL_RTOL = 1e-6, 1e-3
 _MAX_ITERATIONS = 500
 
+Field = Float[np.ndarray, "h w"]
+Mask = Bool[np.ndarray, "h w"]
+PixelSize = tuple[float, float]
+
 
 @dataclass(frozen=True, eq=False)
 class HeightMap:
@@ -36,10 +40,10 @@ class HeightMap:
         max_slope: Largest slope of the smoothed image.
     """
 
-    height_mm: Float[np.ndarray, "h w"]
-    zero_mean_mm: Float[np.ndarray, "h w"]
-    undeformed: Bool[np.ndarray, "h w"]
-    contact: Bool[np.ndarray, "h w"]
+    height_mm: Field
+    zero_mean_mm: Field
+    undeformed: Mask
+    contact: Mask
     max_slope: float = 0.0
 
     @property
@@ -49,7 +53,7 @@ class HeightMap:
 
 
 def reconstruct_height(
-    slopes: Float[np.ndarray, "h w 2"], mm_per_px: tuple[float, float], min_slope: Real = MIN_SLOPE
+    slopes: Float[np.ndarray, "h w 2"], mm_per_px: PixelSize, min_slope: Real = MIN_SLOPE
 ) -> HeightMap:
     """Return the height from slopes, relative to the face far from any contact.
 
@@ -81,19 +85,13 @@ def reconstruct_height(
     return HeightMap(height, zero_mean, undeformed, contact, float(magnitude.max()))
 
 
-def find_contact(
-    height_mm: Float[np.ndarray, "h w"], undeformed: Bool[np.ndarray, "h w"]
-) -> Bool[np.ndarray, "h w"]:
+def find_contact(height_mm: Field, undeformed: Mask) -> Mask:
     """Return pixels that are likely in contact: those of more than a third of the depth."""
     lowest = float(height_mm.min())
     return np.asarray((height_mm < _CONTACT_FRACTION * lowest) & ~undeformed & (lowest < 0))
 
 
-def _deformed(
-    steep: Bool[np.ndarray, "h w"],
-    height: Float[np.ndarray, "h w"],
-    mm_per_px: tuple[float, float],
-) -> Bool[np.ndarray, "h w"]:
+def _deformed(steep: Mask, height: Field, mm_per_px: PixelSize) -> Mask:
     """Pixels that are steep, or as deep as steep ones: the face under a flat object is level."""
     from scipy.ndimage import binary_fill_holes
 
@@ -109,7 +107,7 @@ def _deformed(
     return np.asarray(binary_fill_holes(np.isin(labels, np.unique(labels[kept]))))
 
 
-def _without_specks(mask: Bool[np.ndarray, "h w"], area_px: float) -> Bool[np.ndarray, "h w"]:
+def _without_specks(mask: Mask, area_px: float) -> Mask:
     """Remove connected parts that are smaller than an area."""
     _, labels, statistics, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     large = statistics[:, cv2.CC_STAT_AREA] >= max(_MIN_STEEP_PX, area_px)
@@ -117,9 +115,7 @@ def _without_specks(mask: Bool[np.ndarray, "h w"], area_px: float) -> Bool[np.nd
     return np.asarray(large[labels])
 
 
-def _undeformed(
-    deformed: Bool[np.ndarray, "h w"], mm_per_px: tuple[float, float]
-) -> Bool[np.ndarray, "h w"]:
+def _undeformed(deformed: Mask, mm_per_px: PixelSize) -> Mask:
     """Pixels farther from the deformed region than the radius of a disc of its area."""
     from scipy.ndimage import distance_transform_edt
 
@@ -133,15 +129,15 @@ def _undeformed(
 
 
 def integrate_slopes(
-    slope_x: Float[np.ndarray, "h w"],
-    slope_y: Float[np.ndarray, "h w"],
-    mm_per_px: tuple[float, float],
+    slope_x: Field,
+    slope_y: Field,
+    mm_per_px: PixelSize,
     *,
-    zero: Bool[np.ndarray, "h w"] | None = None,
+    zero: Mask | None = None,
     zero_deviation_mm: float = 0.01,
     slope_deviation: float = 0.05,
     rtol: float = _RTOL,
-) -> Float[np.ndarray, "h w"]:
+) -> Field:
     """Return the heights whose slopes fit the given ones in the least-squares sense, mm.
 
     The normal equations are Poisson's equation with free edges (Horn and Brooks, 1986), solved by
@@ -166,10 +162,10 @@ def integrate_slopes(
     edge_x, edge_y = slope_x[:, 1:] + slope_x[:, :-1], slope_y[1:] + slope_y[:-1]
     rhs = -_divergence(0.5 * edge_x / x, 0.5 * edge_y / y)
     shape = slope_x.shape
-    rows, columns = (2 - 2 * np.cos(np.pi * np.arange(n) / n) for n in shape)
-    eigenvalues = rows[:, None] / y**2 + columns[None] / x**2
+    eigenvalues = laplacian_eigenvalues(shape, (x, y))
     if zero is None or not zero.any():
-        return _solve_shifted(rhs, eigenvalues, 0.0)
+        eigenvalues[0, 0] = np.inf  # makes the mean zero
+        return divide_spectrum(rhs, eigenvalues)
     deviation = positive("zero_deviation_mm", zero_deviation_mm)
     weight = (positive("slope_deviation", slope_deviation) / deviation) ** 2
 
@@ -178,8 +174,10 @@ def integrate_slopes(
         laplacian = _divergence(np.diff(z, axis=1) / x**2, np.diff(z, axis=0) / y**2)
         return (weight * np.where(zero, z, 0.0) - laplacian).ravel()
 
+    spectrum = eigenvalues + weight * float(zero.mean())
+
     def precondition(z: np.ndarray) -> np.ndarray:
-        return _solve_shifted(z.reshape(shape), eigenvalues, weight * float(zero.mean())).ravel()
+        return divide_spectrum(z.reshape(shape), spectrum).ravel()
 
     result = conjugate_gradients(
         apply, precondition, rhs.ravel(), rtol=rtol, max_iterations=_MAX_ITERATIONS
@@ -202,17 +200,21 @@ def _divergence(flux_x: np.ndarray, flux_y: np.ndarray) -> np.ndarray:
     return divergence
 
 
-def _solve_shifted(rhs: np.ndarray, eigenvalues: np.ndarray, shift: float) -> np.ndarray:
-    """Solve (negative Laplacian + shift) z = rhs; with a zero shift, the mean of z is zero."""
-    coefficients, denominator = dctn(rhs, norm="ortho"), eigenvalues + shift
-    if shift == 0.0:
-        coefficients[0, 0], denominator[0, 0] = 0.0, 1.0
-    return idctn(coefficients / denominator, norm="ortho")
+def laplacian_eigenvalues(shape: tuple[int, int], mm_per_px: PixelSize) -> Field:
+    """Return the eigenvalues of `grid_laplacian`, whose eigenvectors are cosines, 1/mm^2."""
+    rows, columns = (
+        (2 - 2 * np.cos(np.pi * np.arange(n) / n)) / size**2
+        for n, size in zip(shape, mm_per_px[::-1], strict=True)
+    )
+    return rows[:, None] + columns
 
 
-def fill_masked(
-    values: Float[np.ndarray, "h w *c"], known: Bool[np.ndarray, "h w"]
-) -> Float[np.ndarray, "h w *c"]:
+def divide_spectrum(values: Field, spectrum: Field) -> Field:
+    """Return the image whose cosine transform is that of another one over a spectrum."""
+    return idctn(dctn(values, norm="ortho") / spectrum, norm="ortho")
+
+
+def fill_masked(values: Float[np.ndarray, "h w *c"], known: Mask) -> Float[np.ndarray, "h w *c"]:
     """Fill unknown pixels of fields by the solution of Laplace's equation, with free image edges.
 
     Values at unknown pixels are ignored.
@@ -224,7 +226,7 @@ def fill_masked(
     if known.all():
         return values.copy()
     filled, inner = values.copy(), known.ravel()
-    rows = _grid_laplacian(known.shape)[~inner]
+    rows = grid_laplacian(known.shape)[~inner]
     rhs = rows[:, inner] @ -values[known].reshape(inner.sum(), -1)
     solution = splu(rows[:, ~inner].tocsc()).solve(rhs)
     filled[~known] = solution.reshape(filled[~known].shape)
@@ -232,8 +234,11 @@ def fill_masked(
 
 
 @lru_cache(maxsize=4)
-def _grid_laplacian(shape: tuple[int, int]) -> sp.csr_matrix:
-    """Negative Laplacian of an image with free edges and pixels of unit size."""
+def grid_laplacian(shape: tuple[int, int], mm_per_px: PixelSize = (1.0, 1.0)) -> sp.csr_matrix:
+    """Return the negative Laplacian of an image with free edges, 1/mm^2."""
     differences = (sp.diags([-1.0, 1.0], [0, 1], shape=(n - 1, n)) for n in shape)
-    along_rows, along_columns = (difference.T @ difference for difference in differences)
+    along_rows, along_columns = (
+        difference.T @ difference / size**2
+        for difference, size in zip(differences, mm_per_px[::-1], strict=True)
+    )
     return sp.kronsum(along_columns, along_rows).tocsr()

@@ -102,13 +102,8 @@ def read_frames(
     """Yield the rectified frames of a source, with their faults.
 
     A frame that is unreadable or of another size has no image. A frame that is dark, saturated,
-    torn or frozen, or that follows dropped frames, keeps its image.
-
-    Args:
-        source: Source of the frames.
-        sensor: Sensor that took the frames.
-        reference: Image of the gel without contact, see `read_reference`.
-        limits: Limits of the fault detection.
+    torn or frozen, or that follows dropped frames, keeps its image. The `reference` is the image of
+    the gel without contact, see `read_reference`.
     """
     if reference.shape[:2] != sensor.shape:
         raise ConfigError(
@@ -229,12 +224,12 @@ def _rectifier(sensor: SensorDescription) -> Callable[[Image, str], Image]:
 
     The function raises `FileError` for images of another size than the sensor's.
     """
-    steps = _rectification_steps(sensor)
+    transform = _rectification(sensor)
     raw_size, rectified_size = sensor.raw_size_px or sensor.image_size_px, sensor.image_size_px
 
     def rectify(image: Image, name: str) -> Image:
         size = (image.shape[1], image.shape[0])
-        if size == rectified_size and (size != raw_size or not steps):
+        if size == rectified_size and (size != raw_size or transform is None):
             return image  # rectified already
         if size != raw_size:
             expected = " x ".join(map(str, raw_size))
@@ -244,14 +239,12 @@ def _rectifier(sensor: SensorDescription) -> Callable[[Image, str], Image]:
                 f"{name} is {size[0]} x {size[1]} px, but the sensor '{sensor.name}' gives"
                 f" {expected}; check image_size_px and raw_size_px."
             )
-        for step in steps:
-            image = step(image)
-        return np.ascontiguousarray(image)
+        return np.ascontiguousarray(image if transform is None else transform(image))
 
     return rectify
 
 
-def _rectification_steps(sensor: SensorDescription) -> list[Callable[[Image], Image]]:
+def _rectification(sensor: SensorDescription) -> Callable[[Image], Image] | None:
     if sensor.intrinsics_px is not None or sensor.warp_corners_px is not None:
         from tactorch.sensor.camera.lens import Lens  # imports kornia
 
@@ -259,12 +252,12 @@ def _rectification_steps(sensor: SensorDescription) -> list[Callable[[Image], Im
             maps = Lens(sensor).maps().numpy()
         x, y = maps.astype(np.float32).transpose(2, 0, 1)
         # OpenCV samples single images of 8 bits on the CPU faster than torch.
-        return [lambda image: cv2.remap(image, x, y, cv2.INTER_LINEAR)]
+        return lambda image: cv2.remap(image, x, y, cv2.INTER_LINEAR)
     if sensor.crop_px is not None:
         left, top, width, height = sensor.crop_px
         region = np.s_[top : top + height, left : left + width]
-        return [lambda image: image[region]]
-    return []
+        return lambda image: image[region]
+    return None
 
 
 def open_source(source: Source) -> Iterator[Frame]:
@@ -333,11 +326,13 @@ def _image_frame(index: int, path: Path, time_s: float | None) -> Frame:
     try:
         return Frame(index, path.name, read_image(path), time_s)
     except FileError as error:
-        return replace(_faulty_frame(index, path.name, str(error)), time_s=time_s)
+        return _faulty_frame(index, path.name, str(error), time_s)
 
 
-def _faulty_frame(index: int, name: str, fault: str) -> Frame:
-    return Frame(index, name, None, fault=fault, usable=False)
+def _faulty_frame(
+    index: int, name: str, fault: str, time_s: float | None = None, unix_s: float | None = None
+) -> Frame:
+    return Frame(index, name, None, time_s, fault, usable=False, unix_s=unix_s)
 
 
 def video_length(path: Path) -> int:
@@ -453,8 +448,7 @@ def _capture(capture: Any, number: int, queue: Queue[Frame | None], stop: Event)
             elif time_s - last_image_s >= _CAMERA_TIMEOUT_S:
                 return
             else:
-                fault = "the camera gave no image"
-                frame = Frame(index, name, None, time_s, fault, usable=False, unix_s=unix_s)
+                frame = _faulty_frame(index, name, "the camera gave no image", time_s, unix_s)
                 time.sleep(_CAMERA_RETRY_S)
             size = 0 if frame.image is None else frame.image.nbytes
             if size * queue.qsize() <= _MAX_QUEUED_BYTES:

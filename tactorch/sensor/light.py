@@ -12,13 +12,10 @@ _TOLERANCE = 1e-4
 
 
 def light_drift(change: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"]:
-    """Return the change of the colors where the gel is not deformed.
+    """Return the change of the colors where the gel is not deformed, in units of 50 gray values.
 
     It is the most frequent change, found by mean shift (Comaniciu and Meer, 2002) from no change,
     from the median of the image and from that of its border.
-
-    Args:
-        change: Change of the colors against the reference, in units of 50 gray values.
     """
     border = np.concatenate([change[0], change[-1], change[:, 0], change[:, -1]])
     pixels = change[::_STRIDE, ::_STRIDE].reshape(-1, 3)

@@ -98,12 +98,9 @@ class Match:
 
 
 def match_markers(grid: Grid, spots: Points, guesses: Iterable[Points] = ()) -> Match:
-    """Return the assignment of least cost.
+    """Return the assignment of least cost of the spots in a frame.
 
-    Args:
-        grid: Markers of the reference.
-        spots: Markers detected in the frame, px.
-        guesses: Further assignments to compare, such as that of a tracker.
+    `guesses` are further assignments to compare, such as that of a tracker.
     """
     candidates = [guess for guess in guesses if np.isfinite(guess[:, 0]).any()]
     for seed in _seeds(grid, spots):

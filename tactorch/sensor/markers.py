@@ -51,6 +51,18 @@ class MarkerAppearance(Options):
     )
 
 
+def marker_appearance(
+    sensor: SensorDescription, diameter_px: float | None = None
+) -> MarkerAppearance | None:
+    """Return the appearance of a sensor's markers; None for a sensor without markers."""
+    if diameter_px is not None:
+        return MarkerAppearance(diameter_px)
+    if sensor.markers is None:
+        return None
+    x, y = sensor.mm_per_px
+    return MarkerAppearance(sensor.markers.diameter_mm / (x * y) ** 0.5)
+
+
 @dataclass(frozen=True)
 class TrackOptions(Options):
     """Tolerances of marker tracking."""
@@ -183,12 +195,8 @@ class MarkerTracker:
     reference alone (`tactorch.sensor.marker_match`), and the better assignment is used. Markers
     whose assignment is ambiguous then are not seen.
 
-    Args:
-        reference: Image of the gel without contact.
-        appearance: Appearance of the markers.
-        options: Tolerances.
-
     Attributes:
+        reference: Image of the gel without contact.
         reference_px: Markers in the reference (column, row).
         spacing_px: Median distance of neighboring markers.
         neighbors: Indices of each marker's neighbors.

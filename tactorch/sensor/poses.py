@@ -74,8 +74,6 @@ class Poses:
                 f" {times.min():.3f} to {times.max():.3f} s, poses from {self.time_s[0]:.3f} to"
                 f" {self.time_s[-1]:.3f} s. Leave such frames out, or set both to one clock."
             )
-        if len(self) == 1:
-            return np.tile(self.T_object_sensor, (len(times), 1, 1))
         return interpolate_poses(times, self.time_s, self.T_object_sensor)
 
 
@@ -84,10 +82,12 @@ def interpolate_poses(
     known_s: Float[np.ndarray, " n"],
     poses: Float[np.ndarray, "n 4 4"],
 ) -> Float[np.ndarray, "k 4 4"]:
-    """Return poses at times within two or more known ones.
+    """Return poses at times within known ones.
 
     Positions are interpolated linearly, rotations along the shortest arc (Shoemake, 1985).
     """
+    if len(known_s) == 1:
+        return np.tile(poses, (len(times_s), 1, 1))
     found = np.tile(np.eye(4), (len(times_s), 1, 1))
     rotations = Slerp(known_s, Rotation.from_matrix(poses[:, :3, :3]))
     found[:, :3, :3] = rotations(times_s).as_matrix()

@@ -3,8 +3,9 @@
 The images are those of the differentiable camera, `tactorch.sensor.camera`, with noise.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 #: Red from the right, green from below left, blue from above left, as seen in the image.
 _COLOURS = ((190.0, 25.0, 20.0), (25.0, 170.0, 30.0), (20.0, 35.0, 185.0))
 _Colour = tuple[float, float, float]
+_Vectors = Float[np.ndarray, "k 3"]
 
 
 @dataclass(frozen=True)
@@ -64,11 +66,6 @@ def _batch(values: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float64))[None]
 
 
-def _to_numpy(images: torch.Tensor) -> np.ndarray:
-    """Return the only image of a batch, rows x columns x colors."""
-    return np.ascontiguousarray(images[0].movedim(0, -1).numpy())
-
-
 @dataclass(frozen=True)
 class RenderOptions(Options):
     """Appearance of a simulated sensor."""
@@ -104,29 +101,38 @@ class GelSurface:
 
 
 def build_surface(
-    sensor: SensorDescription,
-    points: Float[np.ndarray, "k 3"],
-    displacement: Float[np.ndarray, "k 3"],
+    sensor: SensorDescription, points: _Vectors, displacement: _Vectors
 ) -> GelSurface:
     """Return the surface for displacements (mm) of the gel's nodes; it is at rest outside of them.
 
     `points` are the nodes of the gel's outer face at rest, mm, as `GelModel.points`.
     """
     deformed = points + displacement
-    pixels = _pixel_positions(sensor)
+    pixels = pixel_positions(sensor)
     # The image shows a point at its current position.
     height = LinearNDInterpolator(deformed[:, :2], deformed[:, 2], fill_value=np.nan)(pixels)
     rise = np.where(np.isfinite(height), height - sensor.gel.height_mm(pixels), 0.0)
-    markers = np.zeros((0, 2))
-    if sensor.markers is not None:
-        markers = sensor.markers.positions_mm
-        inside = LinearNDInterpolator(points[:, :2], displacement[:, :2])(markers)
-        nearest = NearestNDInterpolator(points[:, :2], displacement[:, :2])(markers)
-        markers = markers + np.where(np.isfinite(inside), inside, nearest)
+    markers = marker_positions(sensor, points, displacement, LinearNDInterpolator)
     return GelSurface(rise.reshape(sensor.shape), sensor.to_px(markers))
 
 
-def _pixel_positions(sensor: SensorDescription) -> Float[np.ndarray, "p 2"]:
+def marker_positions(
+    sensor: SensorDescription,
+    points: _Vectors,
+    displacement: _Vectors,
+    interpolator: Callable[..., Any],
+) -> Float[np.ndarray, "n 2"]:
+    """Return the markers (mm) for displacements of the gel's nodes, beyond them of the nearest."""
+    if sensor.markers is None:
+        return np.zeros((0, 2))
+    at, moved = sensor.markers.positions_mm, displacement[:, :2]
+    inside = interpolator(points[:, :2], moved)(at)
+    nearest = NearestNDInterpolator(points[:, :2], moved)(at)
+    return at + np.where(np.isfinite(inside), inside, nearest)
+
+
+def pixel_positions(sensor: SensorDescription) -> Float[np.ndarray, "p 2"]:
+    """Return x and y of each pixel, row by row, mm."""
     rows, columns = np.indices(sensor.shape)
     return sensor.to_mm(np.stack([columns, rows], axis=-1).reshape(-1, 2).astype(float))
 
@@ -143,10 +149,11 @@ def render(
         raise ConfigError(f"heights are {surface.height_mm.shape}, images {sensor.shape}.")
     if not np.isfinite(surface.height_mm).all():
         raise ConfigError("heights are not finite everywhere; give 0 where the face is at rest.")
-    rest = sensor.gel.height_mm(_pixel_positions(sensor)).reshape(sensor.shape)
+    rest = sensor.gel.height_mm(pixel_positions(sensor)).reshape(sensor.shape)
     markers = None if sensor.markers is None else _batch(surface.markers_px)
     with torch.no_grad():
-        light = _to_numpy(options.camera(sensor)(_batch(rest + surface.height_mm), markers))
+        images = options.camera(sensor)(_batch(rest + surface.height_mm), markers)
+    light = np.ascontiguousarray(images[0].movedim(0, -1).numpy())
     if seed is not None and options.noise > 0:
         light += np.random.default_rng(seed).normal(0.0, options.noise, light.shape)
     return np.clip(light.round(), 0, 255).astype(np.uint8)

@@ -16,14 +16,7 @@ TIMES = "times.csv"
 
 
 def read_times(folder: Path, files: Sequence[Path]) -> dict[str, float]:
-    """Return the times of images by name, from the table of a folder; none without a table.
-
-    Args:
-        folder: Folder that may have the table `TIMES`.
-        files: Images of the folder, in their order.
-
-    Returns:
-        Time of each image by file name, s.
+    """Return the times (s) of the images of a folder by file name; none without a table `TIMES`.
 
     Raises:
         FileError: The table lacks an image, or its times do not rise.

@@ -1,14 +1,18 @@
 """Settings of simulated touch."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import ClassVar, Literal
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.mesh.tetmesh import FaceName
 from tactorch.phantoms.draws import check_ranges
-from tactorch.sensor.description import SensorDescription, load_sensor
+from tactorch.sensor.description import GelLayer, SensorDescription, load_sensor
+from tactorch.sensor.gel import GelMesh
 from tactorch.sensor.render import RenderOptions
+
+_CENTER = 0.6  # edge length of the gel's cells at the center of the face, over the mean
 
 Range = tuple[float, float]
 
@@ -76,3 +80,16 @@ class TouchOptions(Options):
             intrinsics_px=None, distortion=(), warp_corners_px=None, warped_size_px=None,
             crop_px=None,
         )  # fmt: skip
+
+    def gel_mesh(self, gel: GelLayer) -> GelMesh:
+        """Return the mesh of a gel, with smaller cells at the center.
+
+        Raises:
+            ConfigError: There are too few cells across the gel, or too many.
+        """
+        return _gel_mesh(gel, self.gel_edge_mm, self.gel_layers)
+
+
+@lru_cache(maxsize=4)
+def _gel_mesh(gel: GelLayer, edge_mm: float, layers: int) -> GelMesh:
+    return GelMesh(gel, edge_mm, layers, _CENTER)

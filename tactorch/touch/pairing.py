@@ -10,13 +10,21 @@ from tactorch.fem.contact.contact import TRIANGLE_POINTS, TRIANGLE_WEIGHTS
 from tactorch.fem.contact.pair import CoupledDiscretisation, Pairs
 from tactorch.fem.elements import Discretisation
 from tactorch.mesh import Shape, TetMesh
+from tactorch.mesh.geometry import frozen
+from tactorch.sensor.gel import GelMesh
 from tactorch.sensor.poses import Pose, transform_points
-from tactorch.touch.gel import GelPart
-from tactorch.touch.parts import PartsMesh
 from tactorch.touch.rays import first_hits, shape_heights
 
 #: Element of gel and body: linear ones of an almost incompressible gel are too stiff.
 ELEMENT = "tet10"
+
+
+class PartsMesh(TetMesh):
+    """Mesh of two parts that share no node and are valid meshes each; others are of one part."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", frozen(self.points))
+        object.__setattr__(self, "tets", frozen(self.tets))
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,21 +68,17 @@ class Facing:
         return Pairs(coupled, self.values[near], gaps[near], self.areas_mm2[near]), near
 
 
-def face_each_other(body: TetMesh, shape: Shape, gel: GelPart, pose: Pose) -> Facing | None:
+def face_each_other(body: TetMesh, shape: Shape, gel: GelMesh, pose: Pose) -> Facing | None:
     """Pair the points of a gel with those of a body opposite to them; None where there are none.
 
-    Distances are those of the shape itself, whose surface the mesh follows within its elements.
-
-    Args:
-        body: Mesh of the body, mm.
-        shape: The body.
-        gel: The gel.
-        pose: T_object_sensor.
+    Distances are those of the shape itself, whose surface the mesh of the body follows within its
+    elements.
     """
     moved = transform_points(np.linalg.inv(pose), body.points)
-    mesh = PartsMesh.of(moved, body.tets, gel.mesh)
     face, shift = gel.mesh.surface, body.n_points
-    outer = np.asarray(np.isin(face.triangles, gel.face).all(axis=1))
+    cells = np.concatenate([body.tets, gel.mesh.tets + shift])
+    mesh = PartsMesh(np.concatenate([moved, gel.mesh.points]), cells)
+    outer = gel.on_face[face.triangles].all(axis=1)
     triangles, areas = face.triangles[outer], face.areas[outer]
     count = len(TRIANGLE_POINTS)
     points = np.einsum("pc,tcd->tpd", TRIANGLE_POINTS, gel.mesh.points[triangles]).reshape(-1, 3)

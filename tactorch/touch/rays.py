@@ -69,12 +69,8 @@ def _lowest(
 def shape_heights(shape: Shape, pose: Pose, rays: Rays) -> Float[np.ndarray, " q"]:
     """Return the lowest z of a shape in the frame of a pose; infinite where a ray misses it.
 
-    Shapes of files are their triangles; rays go along the signed distance of others.
-
-    Args:
-        shape: The shape.
-        pose: Transform from the frame of the rays to that of the shape.
-        rays: x and y of the rays, mm.
+    Shapes of files are their triangles; rays go along the signed distance of others. The pose is
+    the transform from the frame of the rays to that of the shape.
     """
     low, high = shape.bounds()
     inverse = np.linalg.inv(pose)

@@ -29,15 +29,8 @@ def record_press(
     """Return the press of the recording: forces on its nodes, and displacements in contact.
 
     Forces keep their sum and their moment. Nodes of the surface within the contact are observed,
-    or the one closest to the largest force where there are none.
-
-    Args:
-        scene: The scene that the press was solved in.
-        mesh: Mesh of the recording, mm.
-        press: The press.
-        snr_db: Signal-to-noise ratio of the displacements; None for no noise.
-        rng: Generator of the noise.
-        step: Number of the load step at its place.
+    or the one closest to the largest force where there are none. A signal-to-noise ratio of the
+    displacements of None is no noise; `step` is the number of the load step at its place.
 
     Raises:
         ConfigError: Gel and body do not touch.

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError, ConvergenceError
@@ -29,8 +29,8 @@ from tactorch.mesh import TetMesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import MaterialSpec
 from tactorch.sensor.description import SensorDescription
+from tactorch.sensor.gel import GelMesh
 from tactorch.sensor.poses import Pose, rotate_vectors
-from tactorch.touch.gel import GelPart
 from tactorch.touch.options import TouchOptions
 from tactorch.touch.pairing import ELEMENT, Facing, face_each_other
 
@@ -91,10 +91,9 @@ class TouchScene:
         check_material(self.material, self.sensor)
 
     @cached_property
-    def gel(self) -> GelPart:
+    def gel(self) -> GelMesh:
         """The gel."""
-        options = self.options
-        return GelPart.of(self.sensor.gel, options.gel_edge_mm, options.gel_layers)
+        return self.options.gel_mesh(self.sensor.gel)
 
     @cached_property
     def youngs(self) -> Float[np.ndarray, "m q"]:
@@ -130,7 +129,7 @@ class TouchScene:
             raise ConfigError("the gel is over no part of the body; check the pose of the sensor.")
         first_pose = pose.copy()
         first_pose[:3, 3] += facing.first_touch[1] * pose[:3, 2]
-        coupled = _Coupled.of(self, facing, max(float(motion[2]) for motion in motions_mm))
+        coupled = _Coupled(self, facing, max(float(motion[2]) for motion in motions_mm))
         presses, u = [], None
         for motion in motions_mm:
             contact, result = coupled.solve(np.asarray(motion, dtype=float), u)
@@ -160,32 +159,38 @@ def held_nodes(mesh: TetMesh, side: str, fraction: float) -> Bool[np.ndarray, " 
     return np.asarray(away <= fraction * (high - low) + 1e-9 * mesh.diagonal)
 
 
-@dataclass(frozen=True, eq=False)
 class _Coupled:
     """Both bodies at a place, prepared for several motions."""
 
-    scene: TouchScene
-    facing: Facing
-    contact: PairContact
-    assembly: Assembly
-    pool: SolverPool
-    near: Bool[np.ndarray, " p"]
-
-    @staticmethod
-    def of(scene: TouchScene, facing: Facing, depth_mm: float) -> "_Coupled":
+    def __init__(self, scene: TouchScene, facing: Facing, depth_mm: float) -> None:
+        body, gel, layer = scene.mesh, scene.gel.mesh, scene.sensor.gel
         pairs, near = facing.pairs(_REACH * depth_mm)
-        body, gel = scene.mesh, scene.sensor.gel
-        counts = body.n_tets, scene.gel.mesh.n_tets
-        poisson = np.repeat([scene.material.poisson, float(gel.poisson)], counts)
-        law = make_material(gel.material, gel.poisson)
-        parts = pairs.discretisation
-        assembly = Assembly(parts, law, poisson, parts.mesh.points)
-        surface = scene.gel.mesh.surface
-        softest = min(float(gel.youngs_mpa), float(np.median(scene.youngs)))
-        stiffness = RELATIVE_STIFFNESS * softest / float(np.sqrt(np.median(surface.areas)))
+        self.friction, self.parts = scene.options.friction, pairs.discretisation
+        softest = min(float(layer.youngs_mpa), float(np.median(scene.youngs)))
+        stiffness = RELATIVE_STIFFNESS * softest / float(np.sqrt(np.median(gel.surface.areas)))
         none = np.zeros(int(near.sum()), dtype=bool)
-        contact = PairContact(pairs, np.zeros(3), stiffness, none)
-        return _Coupled(scene, facing, contact, assembly, SolverPool(parts.pattern), near)
+        self.contact = PairContact(pairs, np.zeros(3), stiffness, none)
+        poisson = np.repeat(
+            [scene.material.poisson, float(layer.poisson)], [body.n_tets, gel.n_tets]
+        )
+        law = make_material(layer.material, layer.poisson)
+        self.assembly = Assembly(self.parts, law, poisson, self.parts.mesh.points)
+        self.pool = SolverPool(self.parts.pattern)
+        stiff = np.full((gel.n_tets, scene.youngs.shape[1]), float(layer.youngs_mpa))
+        self.youngs = np.concatenate([scene.youngs, stiff])
+        window = np.isin(np.arange(gel.n_points), scene.gel.window)
+        fixed = np.repeat(np.concatenate([scene.held, window])[:, None], 3, axis=1)
+        self.supports = Supports(fixed=fixed).case(0, self.parts)
+        vertices = np.arange(self.parts.mesh.n_points) >= body.n_points
+        on_gel = np.concatenate([vertices, vertices[self.parts.edges[:, 0]]])
+        # Nodes of the body, in the order of those of a discretisation of the body alone.
+        self.body_rows = np.flatnonzero(~on_gel)
+        # Nodes of the gel's face, midside nodes last.
+        face = scene.gel.face[scene.gel.face_triangles] + body.n_points
+        self.gel_rows = np.unique(self.parts.surface_nodes(face))
+        # Points of the body of each pair at rest, mm.
+        corners = body.points[body.surface.triangles[facing.faces[near]]]
+        self.body_points = np.einsum("pc,pcd->pd", facing.barycentric[near], corners)
 
     def solve(
         self, motion_mm: Float[np.ndarray, "3"], start: Float[np.ndarray, "nodes 3"] | None
@@ -196,7 +201,7 @@ class _Coupled:
             ConvergenceError: There is none.
         """
         contact = replace(self.contact, motion_mm=motion_mm)
-        sticks = self.scene.options.friction == "stick"
+        sticks = self.friction == "stick"
         search = self._search(contact, _FIRST_RTOL if sticks else _RTOL)
         result = search.run(start)
         if sticks and result.converged:
@@ -212,71 +217,27 @@ class _Coupled:
 
     def press(self, contact: PairContact, result: EquilibriumResult, first_pose: Pose) -> GelPress:
         """Return the press of an equilibrium."""
-        u, rows = result.displacement, self._gel_rows
+        u, rows = result.displacement, self.gel_rows
         pose = first_pose.copy()
         pose[:3, 3] += rotate_vectors(first_pose, contact.motion_mm)
         at_pairs = contact.pair_forces(u)
         loaded = at_pairs.any(axis=1)
         support = self._search(contact, _RTOL).support_forces(result)
-        body = self._body_rows
         return GelPress(
             pose,
             first_pose,
-            contact.pairs.discretisation.positions[rows],
+            self.parts.positions[rows],
             u[rows],
             -contact.at(u).forces[rows],
-            self._body_points()[loaded],
+            self.body_points[loaded],
             rotate_vectors(pose, at_pairs[loaded]),
-            rotate_vectors(pose, u[body]),
-            rotate_vectors(pose, support[body].sum(axis=0)),
+            rotate_vectors(pose, u[self.body_rows]),
+            rotate_vectors(pose, support[self.body_rows].sum(axis=0)),
         )
 
     def _search(self, contact: PairContact, rtol: float, after: Newton | None = None) -> Newton:
-        parts = contact.pairs.discretisation
-        supports = Supports(fixed=self._fixed).case(0, parts)
-        nothing = np.zeros((parts.n_nodes, 3))
-        options = NewtonOptions(rtol=rtol)
+        options, nothing = NewtonOptions(rtol=rtol), np.zeros((self.parts.n_nodes, 3))
         return Newton(
-            self.assembly, self.pool, self._youngs, nothing, supports, options, after,
+            self.assembly, self.pool, self.youngs, nothing, self.supports, options, after,
             contact=contact,
         )  # fmt: skip
-
-    @cached_property
-    def _fixed(self) -> Bool[np.ndarray, "n 3"]:
-        scene = self.scene
-        window = np.zeros(scene.gel.mesh.n_points, dtype=bool)
-        window[scene.gel.window] = True
-        return np.repeat(np.concatenate([scene.held, window])[:, None], 3, axis=1)
-
-    @cached_property
-    def _youngs(self) -> Float[np.ndarray, "m q"]:
-        body, gel = self.scene.youngs, self.scene.sensor.gel
-        stiff = np.full((self.scene.gel.mesh.n_tets, body.shape[1]), float(gel.youngs_mpa))
-        return np.concatenate([body, stiff])
-
-    @cached_property
-    def _on_gel(self) -> Bool[np.ndarray, " nodes"]:
-        """Nodes of the gel among all, midside nodes included."""
-        parts = self.contact.pairs.discretisation
-        vertices = np.arange(parts.mesh.n_points) >= self.scene.mesh.n_points
-        return np.concatenate([vertices, vertices[parts.edges[:, 0]]])
-
-    @cached_property
-    def _body_rows(self) -> Int[np.ndarray, " nodes"]:
-        """Nodes of the body, in the order of those of a discretisation of the body alone."""
-        return np.flatnonzero(~self._on_gel)
-
-    @cached_property
-    def _gel_rows(self) -> Int[np.ndarray, " g"]:
-        """Nodes of the gel's face, midside nodes last."""
-        parts, gel = self.contact.pairs.discretisation, self.scene.gel
-        face = gel.mesh.surface.triangles
-        face = face[np.isin(face, gel.face).all(axis=1)] + self.scene.mesh.n_points
-        return np.unique(parts.surface_nodes(face))
-
-    def _body_points(self) -> Float[np.ndarray, "p 3"]:
-        """Points of the body of each pair at rest, mm."""
-        mesh, facing = self.scene.mesh, self.facing
-        corners = mesh.points[mesh.surface.triangles[facing.faces[self.near]]]
-        points: np.ndarray = np.einsum("pc,pcd->pd", facing.barycentric[self.near], corners)
-        return points

@@ -13,7 +13,7 @@ from tactorch.recording import MaterialSpec, Recording
 from tactorch.sensor.description import SensorDescription
 from tactorch.touch.options import TouchOptions
 from tactorch.touch.pairing import ELEMENT
-from tactorch.touch.picture import Picture, draw_gel
+from tactorch.touch.picture import draw_gel
 from tactorch.touch.places import draw_motion, draw_place
 from tactorch.touch.record import record_press
 from tactorch.touch.scene import GelPress, TouchScene
@@ -126,32 +126,31 @@ def _touch(
     options: TouchOptions,
     rng: np.random.Generator,
 ) -> Touch:
-    seeds = rng.integers(2**31, size=len(presses) + 1).tolist()
     points = presses[0].gel_points
-
-    def picture(displacement: np.ndarray, seed: int) -> Picture:
-        return draw_gel(sensor, points, displacement, options.render, seed)
-
-    rest = picture(np.zeros_like(points), seeds[0])
+    moved = np.stack([np.zeros_like(points), *(press.gel_displacement for press in presses)])
+    seeds = rng.integers(2**31, size=len(moved)).tolist()
     pictures = [
-        picture(press.gel_displacement, seed)
-        for press, seed in zip(presses, seeds[1:], strict=True)
+        draw_gel(sensor, points, one, options.render, seed)
+        for one, seed in zip(moved, seeds, strict=True)
     ]
-    heights = [one.height_mm for one in pictures]
+    images, heights, markers, visible = map(np.stack, zip(*pictures, strict=True))
+    rounded = np.round(heights[1:] / _ROUNDING_MM) * _ROUNDING_MM
+    forces, poses, first_poses = (
+        _single(np.stack([getattr(press, name) for press in presses]))
+        for name in ("gel_forces", "pose", "first_pose")
+    )
     return Touch(
-        np.stack([one.image for one in pictures]),
-        rest.image,
-        _single(np.round(np.stack(heights) / _ROUNDING_MM) * _ROUNDING_MM)
-        if options.heights
-        else None,
-        _single(np.stack([one.markers_px for one in pictures])),
-        _single(rest.markers_px),
-        np.stack([one.visible for one in pictures]),
+        images[1:],
+        images[0],
+        _single(rounded) if options.heights else None,
+        _single(markers[1:]),
+        _single(markers[0]),
+        visible[1:],
         _single(points),
-        _single(np.stack([press.gel_displacement for press in presses])),
-        _single(np.stack([press.gel_forces for press in presses])),
-        _single(np.stack([press.pose for press in presses])),
-        _single(np.stack([press.first_pose for press in presses])),
+        _single(moved[1:]),
+        forces,
+        poses,
+        first_poses,
         np.arange(len(presses)) // options.steps,
         _single(np.array(sensor.mm_per_px)),
     )

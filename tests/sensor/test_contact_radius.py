@@ -93,8 +93,7 @@ def test_a_common_offset_of_centers_is_removed() -> None:
 
 def test_colours_tell_radii_roughly() -> None:
     for press, edge in zip(presses(), EDGES, strict=True):
-        strength = np.linalg.norm(press.change, axis=-1)
-        contact = steepest_contact(strength, press.known, BALL, press.circle.center_px)
+        contact = steepest_contact(press, BALL)
         assert contact / drawn.MM_PER_PX == pytest.approx(edge, abs=3.0)
 
 

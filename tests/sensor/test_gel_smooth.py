@@ -6,7 +6,7 @@ import pytest
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import GelLayer
 from tactorch.sensor.gel import GelModel, GelOptions
-from tactorch.sensor.gel.tractions import fit_smooth_forces, traction_basis
+from tactorch.sensor.gel.tractions import SmoothFit, traction_basis
 
 GEL = GelLayer(4.0, 0.2, 0.45, size_mm=(10.0, 10.0))
 NONE = np.zeros((60, 0))
@@ -48,7 +48,7 @@ def test_uniform_tractions_are_not_taken_from(row: Basis, compliance: np.ndarray
     """However much noise is stated."""
     forces = np.repeat(np.r_[0.5, np.ones(8), 0.5], 3) * np.tile([0.01, 0.0, -0.1], 10)
     for noise in (1e-6, 10.0):
-        found, *_ = fit_smooth_forces(compliance, NONE, compliance @ forces, row, noise)
+        found, *_ = SmoothFit(compliance, NONE, row).fit(compliance @ forces, noise)
         np.testing.assert_allclose(found, forces, atol=1e-6)
 
 
@@ -60,7 +60,7 @@ def test_total_is_as_uncertain_as_stated(
     for _ in range(150):
         walk = row[1] @ rng.normal(0, 0.3, row[1].shape[1])
         noisy = compliance @ walk + rng.normal(0, 0.2, 60)
-        found, covariance, noise = fit_smooth_forces(compliance, NONE, noisy, row, 0.2)
+        found, covariance, noise = SmoothFit(compliance, NONE, row).fit(noisy, 0.2)
         off = (found - walk).reshape(-1, 3).sum(axis=0)
         scores.append(off @ np.linalg.solve(covariance, off))
         noises.append(noise)
@@ -72,8 +72,8 @@ def test_noise_that_shows_counts_where_less_is_stated(
     row: Basis, compliance: np.ndarray, rng: np.random.Generator
 ) -> None:
     noisy = compliance @ row[0][:, 2] + rng.normal(0, 0.2, 60)
-    assert fit_smooth_forces(compliance, NONE, noisy, row, 1e-4)[2] == pytest.approx(0.2, rel=0.3)
-    assert fit_smooth_forces(compliance, NONE, noisy, row, 0.7)[2] == pytest.approx(0.7)
+    assert SmoothFit(compliance, NONE, row).fit(noisy, 1e-4)[2] == pytest.approx(0.2, rel=0.3)
+    assert SmoothFit(compliance, NONE, row).fit(noisy, 0.7)[2] == pytest.approx(0.7)
 
 
 def test_what_a_plane_may_explain_tells_nothing(
@@ -82,11 +82,11 @@ def test_what_a_plane_may_explain_tells_nothing(
     forces = row[0][:, 2] * -0.1
     plane = np.tile(np.eye(3)[2], 20)[:, None]
     raised = compliance @ forces + 5.0 * plane[:, 0]
-    wrong, *_ = fit_smooth_forces(compliance, NONE, raised, row, 0.01)
+    wrong, *_ = SmoothFit(compliance, NONE, row).fit(raised, 0.01)
     assert np.linalg.norm(wrong - forces) > 1.0
-    found, covariance, _ = fit_smooth_forces(compliance, plane, raised, row, 0.01)
+    found, covariance, _ = SmoothFit(compliance, plane, row).fit(raised, 0.01)
     np.testing.assert_allclose(found, forces, atol=1e-6)
-    _, known, _ = fit_smooth_forces(compliance, NONE, compliance @ forces, row, 0.01)
+    _, known, _ = SmoothFit(compliance, NONE, row).fit(compliance @ forces, 0.01)
     assert covariance[2, 2] > known[2, 2]
 
 
@@ -107,14 +107,14 @@ def pushed(model: GelModel, pressure_mpa: float) -> tuple[np.ndarray, np.ndarray
 def test_forces_on_nodes_are_tractions_about_them(model: GelModel) -> None:
     """The same all over, they are what the element itself makes of a uniform traction."""
     traction = np.array([0.02, 0.0, -0.1])
-    loads = model._load_matrix @ (model.gel_mesh.face_areas[:, None] * traction)
+    loads = model.load_matrix @ (model.gel_mesh.face_areas[:, None] * traction)
     corners = np.isin(model.gel_mesh.mesh.surface.triangles, model.gel_mesh.face).all(axis=1)
     exact = model.body.traction(np.flatnonzero(corners), traction.tolist()).numpy()
     np.testing.assert_allclose(loads, exact, atol=1e-12)
     alone = np.zeros(model.points.shape)
     alone[30] = traction
-    np.testing.assert_allclose((model._load_matrix @ alone).sum(axis=0), traction)
-    assert ((model._load_matrix @ alone) != 0).any(axis=1).sum() == (
+    np.testing.assert_allclose((model.load_matrix @ alone).sum(axis=0), traction)
+    assert ((model.load_matrix @ alone) != 0).any(axis=1).sum() == (
         1 if model.body.n_nodes == model.gel_mesh.mesh.n_points else 6
     )
 

@@ -56,14 +56,14 @@ class Chain(SensorChain):
         none = np.zeros(len(self.model.points), dtype=bool)
         if frame.image is None:
             unseen = np.full((2, 2), np.nan)
-            return Measurement(frame, unseen, None, np.nan, np.nan, None, none)
+            return Measurement(frame, unseen, none)
         depth = self._depth(frame)
         here = self.tracker.reference_px + self.noise_px * self.rng.normal(size=(2, 2))
         flat = np.full((8, 8), -depth)
         height = HeightMap(flat, flat - flat.mean(), flat == 0, flat < 0)
         if depth <= 0:
-            return Measurement(frame, here, height, depth, 0.0, None, none)
-        return Measurement(frame, here, height, depth, 0.0, self.pairs[depth].u_gel, ~none)
+            return Measurement(frame, here, none, height, depth, 0.0)
+        return Measurement(frame, here, ~none, height, depth, 0.0, self.pairs[depth].u_gel)
 
     def solve_contact(
         self, measurement: Measurement, outline: EdgeDistance | None = None
@@ -370,7 +370,7 @@ def test_the_model_is_that_of_the_pair(pairs: dict[float, Pair]) -> None:
 def measurement(index: int, depth_mm: float, nodes: int = 4) -> Measurement:
     frame = Frame(index, f"{index}", None, 0.1 * index)
     moved, touched = np.full((nodes, 3), depth_mm), np.ones(nodes, dtype=bool)
-    return Measurement(frame, np.zeros((2, 2)), None, depth_mm, 0.0, moved, touched)
+    return Measurement(frame, np.zeros((2, 2)), touched, None, depth_mm, 0.0, moved)
 
 
 def test_a_long_contact_keeps_frames_evenly_in_depth() -> None:

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.contact import ContactOptions, build_press
+from tactorch.sensor.contact import ContactOptions, build_press, slipping_nodes
 from tactorch.sensor.gel import GelContact, GelErrors
-from tactorch.sensor.slip import slipping_nodes
 
 from .gel_on_cube import FIRST, Pair, pressed, sensor_pose
 

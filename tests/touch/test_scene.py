@@ -13,8 +13,8 @@ from tactorch.mesh.lattice import lattice_mesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import MaterialSpec
 from tactorch.sensor.description import GelLayer
+from tactorch.sensor.gel import GelMesh
 from tactorch.touch import GelPress, TouchScene
-from tactorch.touch.gel import GelPart
 from tactorch.touch.pairing import face_each_other
 from tactorch.touch.scene import held_nodes
 
@@ -98,7 +98,7 @@ def test_gaps_of_a_curved_gel_are_those_of_its_face() -> None:
     """Its elements have straight sides."""
     layer = GelLayer(2.5, 0.2, 0.45, radius_mm=6.0, curvature_radius_mm=14.0)
     box = Box((0.0, 0.0, 4.0), (14.0, 14.0, 8.0))
-    body, gel = lattice_mesh(box, 4.0), GelPart.of(layer, 2.0, 2)
+    body, gel = lattice_mesh(box, 4.0), GelMesh(layer, 2.0, 2, center=0.6)
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[2, 3] = 10.0
     facing = face_each_other(body, box, gel, pose)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tactorch.cli.console import log, progress
-from tactorch.cli.sensor.inputs import load_sensor_settings, marker_appearance
+from tactorch.cli.sensor.inputs import load_sensor_settings
 from tactorch.cli.sensor.options import CalibrateSettings
 from tactorch.cli.sensor.presses import (
     EvaluatedPress,
@@ -46,6 +46,7 @@ from tactorch.sensor.calibration.fit import fit_new_contact, fit_to_contacts
 from tactorch.sensor.calibration.quality import positions_differ, validation_groups
 from tactorch.sensor.frames import read_reference
 from tactorch.sensor.light import COLOUR_UNIT
+from tactorch.sensor.markers import marker_appearance
 
 if TYPE_CHECKING:
     from tactorch.sensor.camera import LightFit

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.cli.console import log
-from tactorch.cli.sensor.frames import RunFiles, caption, without_image, write_table
+from tactorch.cli.sensor.frames import RunFiles, caption, without_image
 from tactorch.cli.sensor.inputs import build_chain
 from tactorch.cli.sensor.options import ForceSettings
 from tactorch.errors import ConvergenceError
@@ -24,10 +24,6 @@ from tactorch.sensor.frames import Frame
 from tactorch.viz.sensor_frames import ForceView, colour_limit
 
 _TABLE, _ARRAYS = "forces.csv", "forces.npz"
-_HEADER = (
-    "frame", "image", "time_s", "force_x_n", "force_y_n", "force_z_n", "contact_mm2", "depth_mm",
-    "fault",
-)  # fmt: skip
 _MIN_LIMIT_MPA = 1e-4  # of the color scale, for frames without contact
 
 _WITHOUT_MARKERS = (
@@ -47,8 +43,7 @@ def run(cfg: ForceSettings) -> Path:
     forces, displacement, in_contact = map(np.stack, arrays)
     _write(files, chain, measured, forces, displacement, in_contact, depths)
     points, triangles = chain.model.points, chain.model.gel_mesh.face_triangles
-    traction = forces / chain.model.gel_mesh.face_areas[:, None]
-    traction = np.nan_to_num(traction)
+    traction = np.nan_to_num(forces / chain.model.gel_mesh.face_areas[:, None])
     components = (-traction[..., 2], np.linalg.norm(traction[..., :2], axis=-1))
     pressure, shear = (colour_limit(component, _MIN_LIMIT_MPA) for component in components)
     view = ForceView(chain.sensor, points, triangles, (pressure, shear))
@@ -100,21 +95,10 @@ def _write(
     totals = forces.sum(axis=1)
     known = np.isfinite(totals[:, 2])
     areas = np.where(known, in_contact @ chain.model.gel_mesh.face_areas, np.nan)
-    columns = zip(frames, totals.tolist(), areas.tolist(), depths, strict=True)
-    rows = [
-        (f.index, f.name, f.time_s, *total, area, depth, f.fault)
-        for f, total, area, depth in columns
-    ]
-    write_table(files.folder / _TABLE, _HEADER, rows)
-    files.write_frame_arrays(
-        _ARRAYS,
-        frames,
-        points_mm=points,
-        triangles=triangles,
-        forces_n=forces,
-        displacement_mm=displacement,
-        touched=in_contact,
-    )
+    components = {f"force_{axis}_n": totals[:, k] for k, axis in enumerate("xyz")}
+    files.write_frame_table(_TABLE, frames, **components, contact_mm2=areas, depth_mm=depths)
+    nodes = {"forces_n": forces, "displacement_mm": displacement, "touched": in_contact}
+    files.write_frame_arrays(_ARRAYS, frames, points_mm=points, triangles=triangles, **nodes)
     pressed = int(in_contact.any(axis=1).sum())
     sizes = np.where(known, np.linalg.norm(np.nan_to_num(totals), axis=1), -1.0)
     largest = int(np.argmax(sizes))

@@ -63,6 +63,15 @@ def _cell(value: Any) -> Any:
     return f"{value:.6g}" if isinstance(value, float) else value
 
 
+def clean_run_folder(*patterns: str) -> Path:
+    """Return the run folder, without the files of an earlier run."""
+    folder = run_folder()
+    for pattern in patterns:
+        for path in folder.glob(pattern):
+            path.unlink()
+    return folder
+
+
 class RunFiles:
     """Files of a command in its run folder; those of an earlier run are removed.
 
@@ -70,11 +79,18 @@ class RunFiles:
     """
 
     def __init__(self, stem: str, *others: str) -> None:
-        self.stem, self.folder = stem, run_folder()
         pictures = (f"{stem}-*.png", f"{stem}.mp4", f"{stem}.avi")
-        for pattern in (_SUMMARY, _TEXT, OVER_TIME, *pictures, *others):
-            for path in self.folder.glob(pattern):
-                path.unlink()
+        self.stem = stem
+        self.folder = clean_run_folder(_SUMMARY, _TEXT, OVER_TIME, *pictures, *others)
+
+    def write_frame_table(
+        self, name: str, frames: Sequence[Frame], **columns: Iterable[Any]
+    ) -> None:
+        """Write a CSV file with a line for each frame: these columns, and what it is."""
+        header = ("frame", "image", "time_s", *columns, "fault")
+        lines = zip(frames, *columns.values(), strict=True)
+        rows = [(f.index, f.name, f.time_s, *values, f.fault) for f, *values in lines]
+        write_table(self.folder / name, header, rows)
 
     def write_frame_arrays(self, name: str, frames: Sequence[Frame], **arrays: Any) -> None:
         """Write an npz file of all frames, with their times if known, and their faults."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import tee
+from itertools import islice, tee
 from typing import TypeVar
 
 from tactorch.cli.console import log, progress
@@ -26,7 +26,7 @@ from tactorch.sensor.frames import (
     video_length,
 )
 from tactorch.sensor.gel import GelModel
-from tactorch.sensor.markers import MarkerAppearance
+from tactorch.sensor.markers import marker_appearance
 
 _T = TypeVar("_T")
 
@@ -90,15 +90,13 @@ class FrameSequence:
         return results
 
     def _read(self) -> Iterator[Frame]:
-        return self._limited(read_frames(self.source, self._sensor, self.reference))
+        frames = read_frames(self.source, self._sensor, self.reference)
+        return map(self._note_start, islice(frames, self.max_frames))
 
-    def _limited(self, frames: Iterator[Frame]) -> Iterator[Frame]:
-        for count, frame in enumerate(frames, start=1):
-            if self.zero_unix_s is None and frame.unix_s is not None and frame.time_s is not None:
-                self.zero_unix_s = frame.unix_s - frame.time_s
-            yield frame
-            if count == self.max_frames:
-                return
+    def _note_start(self, frame: Frame) -> Frame:
+        if self.zero_unix_s is None and frame.unix_s is not None and frame.time_s is not None:
+            self.zero_unix_s = frame.unix_s - frame.time_s
+        return frame
 
 
 def load_sensor_settings(cfg: SensorSettings) -> SensorDescription:
@@ -106,18 +104,6 @@ def load_sensor_settings(cfg: SensorSettings) -> SensorDescription:
     sensor = load_sensor(str(cfg.sensor))
     scale = getattr(cfg, "mm_per_px", None)
     return sensor if scale is None else replace(sensor, mm_per_px=scale)
-
-
-def marker_appearance(
-    sensor: SensorDescription, diameter_px: float | None = None
-) -> MarkerAppearance | None:
-    """Return the appearance of markers; None for a sensor without markers."""
-    if diameter_px is not None:
-        return MarkerAppearance(diameter_px)
-    if sensor.markers is None:
-        return None
-    x, y = sensor.mm_per_px
-    return MarkerAppearance(sensor.markers.diameter_mm / (x * y) ** 0.5)
 
 
 def load_calibrated(cfg: CalibratedSettings) -> tuple[SensorDescription, Calibration]:

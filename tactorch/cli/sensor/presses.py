@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from tactorch.cli.console import Table, log, log_text
-from tactorch.cli.sensor.frames import write_table
+from tactorch.cli.sensor.frames import clean_run_folder, write_table
 from tactorch.cli.sensor.options import BallSettings
-from tactorch.cli.settings import run_folder
 from tactorch.errors import FileError
 from tactorch.files import write_file, write_json
 from tactorch.sensor.calibration import (
@@ -48,10 +47,7 @@ def checksum(image: Image) -> str:
 
 def prepare_folder() -> Path:
     """Return the run folder, without the results of an earlier run."""
-    folder = run_folder()
-    for name in (_REPORT, _TEXT, _CIRCLES, _PICTURE):
-        (folder / name).unlink(missing_ok=True)
-    return folder
+    return clean_run_folder(_REPORT, _TEXT, _CIRCLES, _PICTURE)
 
 
 def read_presses(
@@ -116,18 +112,22 @@ def write_report(
     `training` are further presses, which the map was fitted to, `facts` further entries of the JSON
     file.
     """
-    single = {p.name: evaluate_map(slope_map, [p], ball) for p, slope_map in evaluated}
-    radii = {p.name: p.contact.radius_px * ball.mm_per_px[0] for p, _ in evaluated}
-    depths = {press.name: _depth(press, slope_map, ball) for press, slope_map in evaluated}
+    presses = {}
+    for press, slope_map in evaluated:
+        figures = asdict(evaluate_map(slope_map, [press], ball))
+        figures["contact_radius_mm"] = press.contact.radius_px * ball.mm_per_px[0]
+        presses[press.name] = {**figures, "depth_mm": _depth(press, slope_map, ball)}
     head = (
         "", "R^2 x", "R^2 y", "MAE x", "MAE y", "slope outside", "height rms, mm",
         "contact radius, mm", "depth, mm",
     )  # fmt: skip
     lines = []
-    for name, q in [*single.items(), ("all together", quality)]:
-        sizes = (f"{radii[name]:.2f}", f"{depths[name]:.3f}") if name in radii else ("", "")
-        numbers = [f"{v:.3f}" for v in (*q.r2, *q.mae, q.flat_slope)]
-        lines.append((name, *numbers, f"{q.depth_rms_mm:.4f}", *sizes))
+    for name, q in [*presses.items(), ("all together", asdict(quality))]:
+        sizes = ("", "")
+        if name in presses:
+            sizes = f"{q['contact_radius_mm']:.2f}", f"{q['depth_mm']:.3f}"
+        numbers = [f"{v:.3f}" for v in (*q["r2"], *q["mae"], q["flat_slope"])]
+        lines.append((name, *numbers, f"{q['depth_rms_mm']:.4f}", *sizes))
     table = Table(head, lines)
     note = (
         f"Slopes are compared at {quality.pixels} pixels within 0.9 of the contacts' radii;"
@@ -136,12 +136,8 @@ def write_report(
         " that of the contact's center below the gel far from it. On a thick gel, the depth is the"
         " squared contact radius over the ball's radius."
     )
-    presses = {
-        n: {**asdict(q), "contact_radius_mm": radii[n], "depth_mm": depths[n]}
-        for n, q in single.items()
-    }
-    figures = {"quality": asdict(quality), "presses": presses}
-    write_json(folder / _REPORT, {"evaluated": title, **figures, **facts})
+    report = {"evaluated": title, "quality": asdict(quality), "presses": presses, **facts}
+    write_json(folder / _REPORT, report)
     write_file(folder / _TEXT, f"{title}\n{table.text()}\n{note}\n")
     # This table can be used as `labels`.
     circles = {p.name: p.contact for p in (*(press for press, _ in evaluated), *training)}

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.cli.console import log
-from tactorch.cli.sensor.frames import RunFiles, caption, without_image, write_table
+from tactorch.cli.sensor.frames import RunFiles, caption, without_image
 from tactorch.cli.sensor.inputs import FrameSequence, load_calibrated
 from tactorch.cli.sensor.options import ReconstructSettings
 from tactorch.files import write_arrays
@@ -22,7 +22,6 @@ from tactorch.sensor.frames import Frame
 from tactorch.viz.sensor_frames import DepthView
 
 _TABLE, _MAPS = "depth.csv", "heights"
-_HEADER = ("frame", "image", "time_s", "depth_mm", "contact_mm2", "fault")
 _MIN_LIMIT_MM = 0.02  # of the color scale, for frames without contact
 
 
@@ -49,8 +48,8 @@ def run(cfg: ReconstructSettings) -> Path:
 
     results = frames.process("reconstructing depth", reconstruct)
     measured = [frame for frame, *_ in results]
-    rows = [(f.index, f.name, f.time_s, depth, area, f.fault) for f, depth, area in results]
-    write_table(files.folder / _TABLE, _HEADER, rows)
+    all_depths, areas = (np.array([result[k] for result in results], dtype=float) for k in (1, 2))
+    files.write_frame_table(_TABLE, measured, depth_mm=all_depths, contact_mm2=areas)
     depths = [depth for _, depth, area in results if area > 0]
     deepest = max(depths, default=0.0)
     files.write_frame_summary(
@@ -58,7 +57,6 @@ def run(cfg: ReconstructSettings) -> Path:
         {"in_contact": len(depths), "deepest_mm": deepest},
         f"{len(depths)} of {len(results)} frames are in contact, the deepest by {deepest:.3f} mm.",
     )
-    all_depths, areas = (np.array([result[k] for result in results], dtype=float) for k in (1, 2))
     view = DepthView(sensor, max(_MIN_LIMIT_MM, float(np.nanmax(all_depths, initial=0.0))))
 
     def show(frame: Frame) -> None:

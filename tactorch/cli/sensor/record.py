@@ -17,12 +17,13 @@ over_time.png (depth, contacts, selected frames) and presses.png (the contacts, 
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from tactorch.cli.console import ProgressCallback, log, progress
-from tactorch.cli.sensor.frames import OVER_TIME, RunFiles, write_table
+from tactorch.cli.sensor.frames import OVER_TIME, RunFiles
 from tactorch.cli.sensor.inputs import FrameSequence, build_chain
 from tactorch.cli.sensor.options import RecordSettings
 from tactorch.cli.settings import material_spec
@@ -31,14 +32,12 @@ from tactorch.errors import ConfigError
 from tactorch.files import require_file
 from tactorch.recording import Recording, append_press, compact
 from tactorch.sensor.chain import Measurement
-from tactorch.sensor.frames import Frame
 from tactorch.sensor.poses import Poses, read_poses
 from tactorch.sensor.recorder import ContactInterval, VirtualCube, record, record_streaming
 from tactorch.viz import save_figure
 from tactorch.viz.session import presses_figure, session_figure
 
 _TABLE, _PRESSES, _RECORDING = "session.csv", "presses.png", "recording.h5"
-_HEADER = ("frame", "image", "time_s", "depth_mm", "contact", "selected", "fault")
 _WITHOUT_MARKERS = (
     "The sensor has no markers: forces and displacements across its axis are unknown; the forces"
     " are those of a contact without friction."
@@ -152,13 +151,16 @@ def _write(
         for number, contact in enumerate(contacts, start=1)
         for measurement in contact.measurements
     }
-
-    def row(frame: Frame, depth_mm: float) -> tuple[object, ...]:
-        number, fault = numbers.get(frame.index), frame.fault or skipped.get(frame.name, "")
-        own = (frame.index, frame.name, frame.time_s, depth_mm, number)
-        return (*own, int(frame.name in selected), fault)
-
-    write_table(files.folder / _TABLE, _HEADER, (row(m.frame, m.depth_mm) for m in measurements))
+    frames = [
+        replace(m.frame, fault=m.frame.fault or skipped.get(m.frame.name, "")) for m in measurements
+    ]
+    files.write_frame_table(
+        _TABLE,
+        frames,
+        depth_mm=[m.depth_mm for m in measurements],
+        contact=[numbers.get(frame.index) for frame in frames],
+        selected=[int(frame.name in selected) for frame in frames],
+    )
     strongest = max(float(np.linalg.norm(row["force_n"])) for row in presses)
     values = {
         "frames": len(measurements),

@@ -18,11 +18,16 @@ from scipy.spatial import cKDTree
 
 from tactorch.cli.console import log, progress
 from tactorch.cli.sensor.frames import RunFiles, caption, without_image, write_table
-from tactorch.cli.sensor.inputs import FrameSequence, load_sensor_settings, marker_appearance
+from tactorch.cli.sensor.inputs import FrameSequence, load_sensor_settings
 from tactorch.cli.sensor.options import TrackSettings
 from tactorch.errors import ConfigError
 from tactorch.sensor.frames import Frame
-from tactorch.sensor.markers import MarkerAppearance, MarkerTracker, marker_displacements
+from tactorch.sensor.markers import (
+    MarkerAppearance,
+    MarkerTracker,
+    marker_appearance,
+    marker_displacements,
+)
 from tactorch.viz.sensor_frames import MarkerView, colour_limit
 
 _TABLE, _ARRAYS = "tracks.csv", "tracks.npz"
@@ -107,27 +112,13 @@ def _write(
 ) -> None:
     numbers = np.concatenate([positions, displacements], axis=2).tolist()
     rows = (
-        (
-            frame.index,
-            frame.name,
-            frame.time_s,
-            marker,
-            *numbers[k][marker],
-            int(is_valid),
-            frame.fault,
-        )
-        for k, frame in enumerate(frames)
+        (f.index, f.name, f.time_s, marker, *numbers[k][marker], int(is_valid), f.fault)
+        for k, f in enumerate(frames)
         for marker, is_valid in enumerate(valid[k])
     )
     write_table(files.folder / _TABLE, _HEADER, rows)
-    files.write_frame_arrays(
-        _ARRAYS,
-        frames,
-        begin_px=reference_px,
-        places_px=positions,
-        displacement_mm=displacements,
-        valid=valid,
-    )
+    arrays = {"begin_px": reference_px, "places_px": positions, "displacement_mm": displacements}
+    files.write_frame_arrays(_ARRAYS, frames, **arrays, valid=valid)
 
 
 def _summarize(size: np.ndarray, valid: Bool[np.ndarray, "f n"]) -> tuple[dict[str, Any], str]:

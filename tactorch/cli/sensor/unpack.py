@@ -9,9 +9,6 @@ The folder gets frames/ with an image per message and the times of all in times.
 with the pose of each frame. Frames without a pose are left out.
 """
 
-import os
-import shutil
-import uuid
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +16,7 @@ from tactorch.cli.console import log, progress
 from tactorch.cli.settings import CommandOptions
 from tactorch.config import option
 from tactorch.errors import ConfigError
+from tactorch.files import atomic_path
 from tactorch.ros2 import open_bag, read_poses
 from tactorch.ros2.images import unpack_frames
 
@@ -45,17 +43,15 @@ def run(options: UnpackOptions) -> Path:
     out = options.out
     if out.exists():
         raise ConfigError(f"out={out} is there already; choose another, or move it away.")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    part = out.with_name(f".{out.name}.{uuid.uuid4().hex[:8]}.part")
-    try:
-        with open_bag(options.bag) as bag, progress("unpacking", "messages") as update:
-            poses = read_poses(
-                bag, options.pose_topic, options.frame, options.tool_frame, options.max_gap_s
-            )
-            done = unpack_frames(bag, options.image_topic, poses, part, update)
-        os.replace(part, out)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
+    with (
+        atomic_path(out) as part,
+        open_bag(options.bag) as bag,
+        progress("unpacking", "messages") as update,
+    ):
+        poses = read_poses(
+            bag, options.pose_topic, options.frame, options.tool_frame, options.max_gap_s
+        )
+        done = unpack_frames(bag, options.image_topic, poses, part, update)
     if done.without_pose:
         log.warning("%d frames without a pose are left out.", done.without_pose)
     if done.repeated:

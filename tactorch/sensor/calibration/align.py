@@ -45,11 +45,7 @@ def align_contacts(
 ) -> list[BallPress]:
     """Return presses with fitted centers; those of labeled presses are kept.
 
-    Args:
-        presses: Presses of the ball.
-        ball: Ball, and the size of a pixel.
-        contacts_mm: Approximate radii of the contacts, mm.
-        seed: Seed of the drawn pixels.
+    `contacts_mm` are approximate radii of the contacts; the seed is that of the drawn pixels.
     """
     rng = np.random.default_rng(seed)
     start = np.array([press.contact.center_px for press in presses])

@@ -18,6 +18,7 @@ _MIN_GRADIENT = 0.02  # change of color per pixel, about a gray value
 _MAX_RADIUS = 2.0  # of a ball, over the longer side of the image
 _CONTACT_LEVEL = 0.4  # of the largest smoothed gradient
 _MAX_DETECTED = 0.65  # radius of a detected contact, over that of the ball
+_MIN_BELOW = 0.2  # depth below the center of the ball, over its radius, that caps slopes
 _CHANGED = 0.2  # change of color of a contact, 10 gray values
 
 
@@ -115,8 +116,8 @@ class Ball(Options):
 
         z = z0 - sqrt(R^2 - r^2) increases from the center of the contact outward.
         """
-        slopes = offsets_mm / np.maximum(self._below(offsets_mm), 0.2 * self.radius_mm)
-        return np.moveaxis(slopes, 0, -1)
+        below = np.maximum(self._below(offsets_mm), _MIN_BELOW * self.radius_mm)
+        return np.moveaxis(offsets_mm / below, 0, -1)
 
     def slopes(self, shape: tuple[int, int], circle: Circle) -> Float[np.ndarray, "h w 2"]:
         """Return dz/dx and dz/dy of the ball's surface in an image."""
@@ -135,6 +136,12 @@ class Ball(Options):
         """Depth of the ball's surface below its center, mm."""
         x, y = offsets_mm
         return np.sqrt(np.maximum(self.radius_mm**2 - x**2 - y**2, 0.0))
+
+
+def ball_slope(r: np.ndarray | float, radius: float) -> np.ndarray:
+    """Return the outward slope of a ball's surface at distances from the center; see `Ball`."""
+    below = np.sqrt(np.maximum(radius**2 - np.square(r), 0.0))
+    return np.asarray(r / np.maximum(below, _MIN_BELOW * radius))
 
 
 def read_labels(path: str | Path) -> Mapping[str, Circle]:

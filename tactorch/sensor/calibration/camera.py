@@ -11,17 +11,10 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.func import jvp
 
 from tactorch.config import option
 from tactorch.errors import ConfigError
-from tactorch.sensor.calibration.maps import (
-    Arrays,
-    Features,
-    SensorMap,
-    SlopeMap,
-    Slopes,
-)
+from tactorch.sensor.calibration.maps import Arrays, Features, SensorMap, SlopeMap, Slopes
 from tactorch.sensor.camera.light_fit import LightFit, fit_light
 from tactorch.sensor.camera.shading import Shading
 
@@ -52,14 +45,13 @@ class CameraMap:
     """Slope map of `CameraLight`; `light` is the fitted light."""
 
     def __init__(self, options: CameraLight) -> None:
-        self.options: SensorMap = options
-        self._iterations, self._slope_deviation = options.iterations, options.slope_deviation
+        self.options = options
         self.light: LightFit | None = None
 
     def fit(self, features: Features, slopes: Slopes, seed: int) -> None:
         """Fit the light to pixels of known slope."""
         colours, places = features[:, :3], features[:, 3:]
-        self.light = fit_light(colours, slopes, places, seed, self._iterations)
+        self.light = fit_light(colours, slopes, places, seed, self.options.iterations)
 
     def __call__(self, features: Features) -> Slopes:
         """Return the slopes whose colours fit."""
@@ -69,8 +61,7 @@ class CameraMap:
 
     def arrays(self) -> Arrays:
         """Return the parameters of the light."""
-        light = self._fitted()
-        return light_arrays(light)
+        return light_arrays(self._fitted())
 
     def restore(self, arrays: Arrays) -> None:
         """Set the parameters of the light."""
@@ -83,7 +74,7 @@ class CameraMap:
 
     def _slopes(self, features: Float[Tensor, "n 5"]) -> Float[Tensor, "n 2"]:
         light, (colours, places) = self._fitted(), features.split((3, 2), dim=1)
-        weight = (light.deviation / self._slope_deviation) ** 2
+        weight = (light.deviation / self.options.slope_deviation) ** 2
 
         def cost(slopes: Tensor) -> Tensor:
             residual = light.shading.change(slopes, places) - colours
@@ -108,12 +99,7 @@ class CameraMap:
         self, slopes: Tensor, colours: Tensor, places: Tensor, weight: float, damping: Tensor
     ) -> Float[Tensor, "n 2"]:
         """Damped Gauss-Newton step of each pixel, of a limited length."""
-        shading, columns = self._fitted().shading, []
-        for direction in torch.eye(2, dtype=slopes.dtype):
-            along = direction.expand_as(slopes)
-            rendered, by_slope = jvp(lambda s: shading.change(s, places), (slopes,), (along,))[:2]
-            columns.append(by_slope)
-        jacobian = torch.stack(columns, dim=-1)
+        rendered, jacobian = self._fitted().shading.linearize(slopes, places)
         identity = torch.eye(2, dtype=slopes.dtype)
         hessian = jacobian.mT @ jacobian + (weight + damping)[:, None, None] * identity
         gradient = (jacobian * (rendered - colours)[..., None]).sum(dim=1) + weight * slopes

@@ -60,12 +60,7 @@ def fit_map(
     """Fit the map from colors to slopes together with the contacts.
 
     Presses whose slopes disagree with those of the others are left out of the fit of the map.
-
-    Args:
-        presses: Presses of the ball.
-        ball: Ball, and the size of a pixel.
-        options: Fit options.
-        progress: Callback with the number of finished rounds and of all.
+    `progress` receives the number of finished rounds and of all.
 
     Returns:
         The map, and the presses with fitted contacts; `outlying` marks those that disagree.
@@ -83,9 +78,8 @@ def fit_map(
     if options.rounds > 0:
         fitted = _initial_contacts(fitted, ball, options.seed)
     for number in range(options.rounds + 1):
-        agreeing = [press for press in fitted if not press.outlying]
-        radii = _training_radii(agreeing, slope_map if number > 0 else None, ball)
-        _fit_map_to_contacts(slope_map, agreeing, radii, ball, options.seed + number)
+        found_by = slope_map if number > 0 else None
+        _fit_map_to_contacts(slope_map, fitted, found_by, ball, options.seed + number)
         if number < options.rounds:
             fitted = [fit_contact(press, slope_map, ball) for press in fitted]
             fitted = _mark_outlying(fitted, slope_map, ball)
@@ -98,21 +92,8 @@ def fit_to_contacts(
 ) -> SlopeMap:
     """Return a map fitted to contacts that another map has found."""
     slope_map = options.create(seed)
-    agreeing = [press for press in presses if not press.outlying]
-    radii = _training_radii(agreeing, found_by, ball)
-    _fit_map_to_contacts(slope_map, agreeing, radii, ball, seed)
+    _fit_map_to_contacts(slope_map, presses, found_by, ball, seed)
     return slope_map
-
-
-def _training_radii(
-    presses: Sequence[BallPress], slope_map: SlopeMap | None, ball: Ball
-) -> list[float]:
-    """Radii of the pixels that a map is fitted to, at most where the present map is right."""
-    radii = [_TRAINING_RADIUS * press.contact.radius_px for press in presses]
-    if slope_map is None:
-        return radii
-    resolved = [_resolved_radius(press, slope_map, ball) for press in presses]
-    return [min(pair) for pair in zip(radii, resolved, strict=True)]
 
 
 def _initial_contacts(presses: list[BallPress], ball: Ball, seed: int) -> list[BallPress]:
@@ -127,9 +108,8 @@ def _initial_contacts(presses: list[BallPress], ball: Ball, seed: int) -> list[B
 
 def _with_steepest_contact(press: BallPress, ball: Ball) -> BallPress:
     """Return a press with the radius where its colors change most."""
-    strength, center = np.linalg.norm(press.change, axis=-1), press.contact.center_px
-    radius = steepest_contact(strength, press.known, ball, center) / ball.mm_per_px[0]
-    return _with_contact(press, center, radius)
+    radius = steepest_contact(press, ball) / ball.mm_per_px[0]
+    return _with_contact(press, press.contact.center_px, radius)
 
 
 def fit_contact(press: BallPress, slope_map: SlopeMap, ball: Ball) -> BallPress:
@@ -160,8 +140,10 @@ def fit_contact(press: BallPress, slope_map: SlopeMap, ball: Ball) -> BallPress:
         misfit, start, method="Nelder-Mead",
         options={"xatol": 0.05, "fatol": 1e-6, "initial_simplex": simplex},
     ).x  # fmt: skip
-    radius = _contact_radius(slopes, press, ball, Circle((x, y), circle.radius_px))
-    return _with_contact(press, (x, y), radius)
+    width = ball.mm_per_px[0]
+    outward, seen = _outward_slopes(slopes, press, ball, Circle((x, y), circle.radius_px))
+    profile = fit_profile(outward, seen, ball, circle.radius_px * width)
+    return _with_contact(press, (x, y), profile.contact_mm / width)
 
 
 def _with_contact(press: BallPress, center: tuple[float, float], radius_px: float) -> BallPress:
@@ -176,13 +158,6 @@ def fit_new_contact(press: BallPress, slope_map: SlopeMap, ball: Ball) -> BallPr
     for _ in range(_PASSES):
         press = fit_contact(press, slope_map, ball)
     return press
-
-
-def _contact_radius(slopes: np.ndarray, press: BallPress, ball: Ball, circle: Circle) -> float:
-    """Radius of a contact by the slopes around its center, pixels."""
-    outward, seen = _outward_slopes(slopes, press, ball, circle)
-    width = ball.mm_per_px[0]
-    return fit_profile(outward, seen, ball, circle.radius_px * width).contact_mm / width
 
 
 def _outward_slopes(
@@ -232,16 +207,24 @@ def _slope_error(press: BallPress, slope_map: SlopeMap, ball: Ball) -> float:
 def _fit_map_to_contacts(
     slope_map: SlopeMap,
     presses: Sequence[BallPress],
-    radii_px: Sequence[float],
+    found_by: SlopeMap | None,
     ball: Ball,
     seed: int,
 ) -> None:
-    """Fit the map to the ball's slopes within these radii, and to zero where the gel is flat."""
+    """Fit the map to the ball's slopes inside contacts that agree, and to zero where it is flat.
+
+    Of a contact, only the pixels are used at which the map `found_by` follows the ball.
+    """
     rng = np.random.default_rng(seed)
     features, slopes = [], []
-    for press, radius in zip(presses, radii_px, strict=True):
+    for press in presses:
+        if press.outlying:
+            continue
         circle = press.contact
         ball.check(circle, press.name)
+        radius = _TRAINING_RADIUS * circle.radius_px
+        if found_by is not None:
+            radius = min(radius, _resolved_radius(press, found_by, ball))
         rows = pixel_features(press.change)
         distance = np.where(press.known, ball.distance(press.shape, circle), np.nan).ravel()
         inside = _draw(rng, np.flatnonzero(distance * circle.radius_px < radius), _PIXELS)

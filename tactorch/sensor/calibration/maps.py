@@ -87,9 +87,11 @@ def pixel_features(change: Float[np.ndarray, "h w 3"]) -> Features:
 
 @runtime_checkable
 class SlopeMap(Protocol):
-    """Map from features of pixels to slopes; `options` are the settings of the map."""
+    """Map from features of pixels to slopes."""
 
-    options: "SensorMap"
+    @property
+    def options(self) -> "SensorMap":
+        """Settings of the map."""
 
     def fit(self, features: Features, slopes: Slopes, seed: int) -> None:
         """Fit, or continue to fit, to pixels of known slope."""
@@ -180,8 +182,7 @@ class Lookup(SensorMap):
 
 class _MlpMap:
     def __init__(self, options: Mlp) -> None:
-        self.options: SensorMap = options
-        self._steps, self._learning_rate = options.steps, options.learning_rate
+        self.options = options
         self._inputs, width = 5 if options.position else 3, options.width
         activation = _ACTIVATIONS[options.activation]
         self.network = nn.Sequential(
@@ -194,12 +195,12 @@ class _MlpMap:
         generator = torch.Generator().manual_seed(seed)
         inputs = features[:, : self._inputs]
         x, y = (torch.from_numpy(v.astype(np.float32)) for v in (inputs, slopes))
-        optimizer = torch.optim.Adam(self.network.parameters(), lr=self._learning_rate)
-        scheduler = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, self._steps)
+        optimizer = torch.optim.Adam(self.network.parameters(), lr=self.options.learning_rate)
+        scheduler = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, self.options.steps)
         threads = torch.get_num_threads()
         torch.set_num_threads(1)  # fastest for small networks on shared cores
         try:
-            for _ in range(self._steps):
+            for _ in range(self.options.steps):
                 rows = torch.randint(len(x), (_BATCH,), generator=generator)
                 loss = (self.network(x[rows]) - y[rows]).square().mean()
                 optimizer.zero_grad()
@@ -229,8 +230,7 @@ class _LookupMap:
     """
 
     def __init__(self, options: Lookup) -> None:
-        self.options: SensorMap = options
-        self._max_change = options.max_change
+        self.options, self._max_change = options, options.max_change
         self.table = np.zeros((options.bins, options.bins, options.bins, 2))
         self.weights = np.zeros((9, 2))
 

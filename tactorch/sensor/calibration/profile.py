@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import least_squares
 
-from tactorch.sensor.calibration.ball import Ball, Circle
+from tactorch.sensor.calibration.ball import Ball, BallPress, ball_slope
 
 #: Largest radius of a contact, over that of the ball.
 MAX_CONTACT = 0.95
@@ -21,13 +21,13 @@ _CANDIDATES = 94
 _FITTED = (0.2, 1.8)  # radii of a fitted profile, over the approximate contact radius
 _SAMPLES = 1200
 _REACH = 3.0  # of the sampled profile, over the radius of the ball
-_MIN_BELOW = 0.2  # of the depth below the center of the ball, over its radius, as in `Ball`
 _CONTACT = (0.6, 1.5)  # bounds of the radius, over the approximate one
 _START = (0.05, 2.0)  # blur and decay length, over the radii of ball and contact
 _BLUR, _DECAY = (1e-3, 0.4), (0.05, 50.0)  # their bounds
 _MAX_ERROR = 0.1  # of slopes that are no outliers
 
 Profile = Float[np.ndarray, " rings"]
+Image = Float[np.ndarray, "h w"]
 
 
 @dataclass(frozen=True)
@@ -62,16 +62,11 @@ class ContactProfile:
         # The derivative of Johnson's (3.42a); its unit is the slope of a paraboloid at the edge.
         decrease = 2 / np.pi * (np.arcsin(ratio) / ratio - np.sqrt(1 - ratio**2))
         outside = decrease * np.exp(-(outer - a) / self.decay_mm)
-        return np.where(r < a, _ball_slope(r, radius), _ball_slope(a, radius) * outside)
-
-
-def _ball_slope(r: np.ndarray | float, radius: float) -> np.ndarray:
-    below = np.sqrt(np.maximum(radius**2 - np.square(r), 0.0))
-    return np.asarray(r / np.maximum(below, _MIN_BELOW * radius))
+        return np.where(r < a, ball_slope(r, radius), ball_slope(a, radius) * outside)
 
 
 def radial_means(
-    values: Float[np.ndarray, "h w"], distance: Float[np.ndarray, "h w"], width: float, limit: float
+    values: Image, distance: Image, width: float, limit: float
 ) -> tuple[Profile, Profile, Profile]:
     """Return radii, means and numbers of pixels of rings up to a limit.
 
@@ -86,23 +81,11 @@ def radial_means(
     return (np.arange(count) + 0.5) * width, sums / np.maximum(numbers, 1), numbers.astype(float)
 
 
-def steepest_contact(
-    strength: Float[np.ndarray, "h w"],
-    known: Bool[np.ndarray, "h w"],
-    ball: Ball,
-    center_px: tuple[float, float],
-) -> float:
-    """Return the approximate contact radius by the ring of largest change of the colors, mm.
-
-    Args:
-        strength: Magnitude of the change of the colors.
-        known: Pixels not covered by markers.
-        ball: Ball, and the size of a pixel.
-        center_px: Center of the contact.
-    """
-    width = ball.mm_per_px[0]
-    distance = np.hypot(*ball.offsets(strength.shape, Circle(center_px, 2.0)))
-    distance = np.where(known, distance, np.nan)
+def steepest_contact(press: BallPress, ball: Ball) -> float:
+    """Return the approximate contact radius by the ring of largest change of the colors, mm."""
+    width, strength = ball.mm_per_px[0], np.linalg.norm(press.change, axis=-1)
+    distance = np.hypot(*ball.offsets(press.shape, press.contact))
+    distance = np.where(press.known, distance, np.nan)
     radii, means, numbers = radial_means(strength, distance, width, ball.radius_mm)
     means = np.where(numbers > 0, gaussian_filter1d(means, 1.0), 0.0)
     steepest = float(radii[int(means.argmax())])
@@ -125,18 +108,12 @@ def _steepest_radii() -> Float[np.ndarray, " candidates"]:
 
 
 def fit_profile(
-    outward: Float[np.ndarray, "h w"],
-    distance_mm: Float[np.ndarray, "h w"],
-    ball: Ball,
-    contact_mm: float,
+    outward: Image, distance_mm: Image, ball: Ball, contact_mm: float
 ) -> ContactProfile:
-    """Fit contact radius, blur and decay to measured outward slopes.
+    """Fit contact radius, blur and decay to measured slopes away from the center of a contact.
 
-    Args:
-        outward: Slopes away from the center of the contact.
-        distance_mm: Distance from the center, mm; pixels where it is not finite are left out.
-        ball: Ball, and the size of a pixel.
-        contact_mm: Approximate radius of the contact, mm.
+    Pixels whose distance from the center is not finite are left out; `contact_mm` is an approximate
+    radius of the contact.
     """
     limit = _FITTED[1] * contact_mm
     rings = radial_means(outward, distance_mm, ball.mm_per_px[0], limit)

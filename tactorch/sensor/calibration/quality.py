@@ -44,12 +44,10 @@ class MapQuality:
     def pool(cls, parts: "Sequence[MapQuality]") -> "MapQuality":
         """Return the errors of groups of presses, weighted by their pixels."""
         counts = [part.pixels for part in parts]
-        r2 = np.average([part.r2 for part in parts], axis=0, weights=counts)
-        mae = np.average([part.mae for part in parts], axis=0, weights=counts)
-        squares = np.average([part.depth_rms_mm**2 for part in parts], weights=counts)
-        depth = float(np.sqrt(squares))
+        rows = [(*part.r2, *part.mae, part.depth_rms_mm**2) for part in parts]
+        *slopes, square = np.average(rows, axis=0, weights=counts).tolist()
         flat = _root_mean_square(np.array([part.flat_slope for part in parts]))
-        return cls(tuple(r2.tolist()), tuple(mae.tolist()), depth, sum(counts), flat)
+        return cls(tuple(slopes[:2]), tuple(slopes[2:]), square**0.5, sum(counts), flat)
 
 
 def evaluate_map(slope_map: SlopeMap, presses: Sequence[BallPress], ball: Ball) -> MapQuality:
@@ -133,18 +131,19 @@ def select_map(
     Returns:
         The name of the map, and the errors of each evaluated map by name.
     """
-    options, quality, scores = options or FitOptions(), dict[str, MapQuality](), dict[str, float]()
-    candidates = {name: SENSOR_MAPS.build(name) for name in SENSOR_MAPS.names()}
-    candidates = {name: each for name, each in candidates.items() if each.automatic}
-    if not positions_differ(presses):
-        candidates = {k: each for k, each in candidates.items() if not each.uses_position}
-    for number, (name, candidate) in enumerate(candidates.items()):
+    options, quality = options or FitOptions(), dict[str, MapQuality]()
+    differ = positions_differ(presses)
+    maps = {name: SENSOR_MAPS.build(name) for name in SENSOR_MAPS.names()}
+    maps = {k: m for k, m in maps.items() if m.automatic and (differ or not m.uses_position)}
+    for number, (name, candidate) in enumerate(maps.items(), start=1):
         quality[name] = cross_validate(presses, ball, replace(options, map=candidate), folds)
-        scores[name] = sum(quality[name].mae)
-        if candidate.uses_position:
-            scores[name] /= 1.0 - _POSITION_GAIN
-        progress(number + 1, len(candidates))
-    return min(scores, key=lambda name: scores[name]), quality
+        progress(number, len(maps))
+
+    def score(name: str) -> float:
+        gain = _POSITION_GAIN if maps[name].uses_position else 0.0
+        return sum(quality[name].mae) / (1.0 - gain)
+
+    return min(maps, key=score), quality
 
 
 def positions_differ(presses: Sequence[BallPress]) -> bool:

@@ -88,7 +88,7 @@ def face_slopes(height_mm: Heights, mm_per_px: Float[Tensor, "2"]) -> Float[Tens
     return torch.stack([by_column, by_row], dim=-1) / mm_per_px
 
 
-def image_places(height_mm: Heights) -> Float[Tensor, "h w 2"]:
+def image_places(height_mm: Float[Tensor, "*b h w"]) -> Float[Tensor, "h w 2"]:
     """Return positions from -1 to 1 across the image along x and y."""
     rows, columns = (
         torch.linspace(-1, 1, n, dtype=height_mm.dtype, device=height_mm.device)

@@ -13,13 +13,18 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 from jaxtyping import Bool, Float
-from scipy.fft import dctn, idctn
-from torch.func import jvp
 
 from tactorch.config import Options, option
 from tactorch.linalg import conjugate_gradients
+from tactorch.sensor.camera.gel_camera import image_places
 from tactorch.sensor.camera.shading import Shading
-from tactorch.sensor.depth import HeightMap, find_contact
+from tactorch.sensor.depth import (
+    HeightMap,
+    divide_spectrum,
+    find_contact,
+    grid_laplacian,
+    laplacian_eigenvalues,
+)
 
 _OUTLIER = 2.0  # residual over its deviation, from which a pixel counts as an outlier
 _RTOL, _MAX_ITERATIONS = 1e-3, 300  # of conjugate gradients
@@ -86,36 +91,34 @@ def fit_height(
     return replace(start, height_mm=fitted, zero_mean_mm=fitted - fitted.mean(), contact=contact)
 
 
+@dataclass(eq=False)
 class _Problem:
     """Cost of a height, (pixels,), and its Gauss-Newton steps."""
 
-    def __init__(
-        self,
-        change: Image,
-        shading: Shading,
-        deviation: float,
-        slopes: Float[np.ndarray, "h w 2"],
-        undeformed: Bool[np.ndarray, "h w"],
-        mm_per_px: tuple[float, float],
-        options: HeightFitOptions,
-    ) -> None:
-        self.shape, self.options = undeformed.shape, options
-        self.shading, self.deviation = shading, deviation
-        self.change = torch.from_numpy(np.ascontiguousarray(change)).reshape(-1, 3)
-        self.slopes, self.zero = slopes.reshape(-1, 2), undeformed.ravel()
-        y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in self.shape), indexing="ij")
-        self.places = torch.from_numpy(np.stack([x, y], axis=-1).reshape(-1, 2))
-        x_mm, y_mm = (float(size) for size in mm_per_px)
-        self.by_x, self.by_y, self.laplacian, self.eigenvalues = _operators(
-            self.shape, (x_mm, y_mm)
-        )
+    change: Image
+    shading: Shading
+    deviation: float
+    lookup: Float[np.ndarray, "h w 2"]
+    undeformed: Bool[np.ndarray, "h w"]
+    mm_per_px: tuple[float, float]
+    options: HeightFitOptions
+
+    def __post_init__(self) -> None:
+        self.shape, self.zero = self.undeformed.shape, self.undeformed.ravel()
+        self.colours = torch.from_numpy(np.ascontiguousarray(self.change)).reshape(-1, 3)
+        self.slopes = self.lookup.reshape(-1, 2)
+        self.places = image_places(torch.zeros(self.shape, dtype=torch.float64)).reshape(-1, 2)
+        size = float(self.mm_per_px[0]), float(self.mm_per_px[1])
+        self.by_x, self.by_y = _derivatives(self.shape, size)
+        self.laplacian = grid_laplacian(self.shape, size)  # its sign does not matter
+        self.eigenvalues = laplacian_eigenvalues(self.shape, size)
 
     def cost(self, height: np.ndarray) -> float:
         """Half the negative logarithm of the posterior, up to a constant."""
         slopes = self._slopes(height)
         with torch.no_grad():
             rendered = self.shading.change(torch.from_numpy(slopes), self.places)
-        squares = ((rendered - self.change) / self.deviation).square().sum(dim=1).numpy()
+        squares = ((rendered - self.colours) / self.deviation).square().sum(dim=1).numpy()
         colours = _OUTLIER**2 * np.log1p(squares / _OUTLIER**2).sum()
         options = self.options
         by_lookup = ((slopes - self.slopes) ** 2).sum() / options.slope_deviation**2
@@ -126,7 +129,10 @@ class _Problem:
     def step(self, height: np.ndarray) -> np.ndarray:
         """Gauss-Newton step, with the weights of outliers at this height."""
         slopes, options = self._slopes(height), self.options
-        residual, jacobian = self._linearize(slopes)
+        with torch.no_grad():
+            colours, by_slope = self.shading.linearize(torch.from_numpy(slopes), self.places)
+        residual = (colours - self.colours).numpy() / self.deviation
+        jacobian = by_slope.numpy() / self.deviation
         weight = 1.0 / (1.0 + (residual**2).sum(axis=1) / _OUTLIER**2)
         prior = 1.0 / options.slope_deviation**2
         hessian = np.einsum("nca,ncb,n->nab", jacobian, jacobian, weight) + prior * np.eye(2)
@@ -146,8 +152,7 @@ class _Problem:
         spectrum = mean * self.eigenvalues + smooth * self.eigenvalues**2 + shift
 
         def precondition(v: np.ndarray) -> np.ndarray:
-            waves = dctn(v.reshape(self.shape), norm="ortho") / spectrum
-            return np.asarray(idctn(waves, norm="ortho")).ravel()
+            return divide_spectrum(v.reshape(self.shape), spectrum).ravel()
 
         force = self.by_x.T @ gradient[:, 0] + self.by_y.T @ gradient[:, 1]
         force = force + smooth * (self.laplacian.T @ (self.laplacian @ height))
@@ -161,38 +166,15 @@ class _Problem:
     def _slopes(self, height: np.ndarray) -> np.ndarray:
         return np.stack([self.by_x @ height, self.by_y @ height], axis=-1)
 
-    def _linearize(self, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals of the colours over their deviation, (n, 3), and derivatives, (n, 3, 2)."""
-        at = torch.from_numpy(slopes)
-
-        def rendered(s: torch.Tensor) -> torch.Tensor:
-            return self.shading.change(s, self.places)
-
-        derivatives = []
-        with torch.no_grad():
-            for axis in range(2):
-                along = torch.zeros_like(at)
-                along[:, axis] = 1.0
-                colours, by_slope = jvp(rendered, (at,), (along,))[:2]
-                derivatives.append(by_slope.numpy() / self.deviation)
-        residual = (colours - self.change).numpy() / self.deviation
-        return residual, np.stack(derivatives, axis=-1)
-
 
 @lru_cache(maxsize=4)
-def _operators(
+def _derivatives(
     shape: tuple[int, int], mm_per_px: tuple[float, float]
-) -> tuple[sp.csr_matrix, sp.csr_matrix, sp.csr_matrix, np.ndarray]:
-    """Derivatives along x and y, the Laplacian, and its negative's eigenvalues, 1/mm and 1/mm^2."""
+) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+    """Derivatives along x and y, 1/mm."""
     (rows, columns), (x, y) = shape, mm_per_px
     by_x = sp.kron(sp.eye(rows), _differences(columns) / x).tocsr()
-    by_y = sp.kron(_differences(rows) / y, sp.eye(columns)).tocsr()
-    second_x, second_y = (_second_differences(n) / h**2 for n, h in ((columns, x), (rows, y)))
-    laplacian = sp.kronsum(second_x, second_y).tocsr()
-    waves = [
-        (2 - 2 * np.cos(np.pi * np.arange(n) / n)) / h**2 for n, h in ((rows, y), (columns, x))
-    ]
-    return by_x, by_y, laplacian, waves[0][:, None] + waves[1][None]
+    return by_x, sp.kron(_differences(rows) / y, sp.eye(columns)).tocsr()
 
 
 def _differences(n: int) -> sp.csr_matrix:
@@ -200,9 +182,3 @@ def _differences(n: int) -> sp.csr_matrix:
     matrix = sp.diags([-0.5, 0.5], [-1, 1], shape=(n, n)).tolil()
     matrix[0, :2] = matrix[-1, -2:] = [-1.0, 1.0]
     return matrix.tocsr()
-
-
-def _second_differences(n: int) -> sp.csr_matrix:
-    """Second differences with free ends."""
-    edges = sp.diags([-1.0, 1.0], [0, 1], shape=(n - 1, n))
-    return (-(edges.T @ edges)).tocsr()

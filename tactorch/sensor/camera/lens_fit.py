@@ -11,11 +11,10 @@ import torch
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 from torch import Tensor
-from torch.func import functional_call
 
 from tactorch.errors import ConfigError
 from tactorch.sensor.camera.lens import Lens
-from tactorch.sensor.camera.optimize import Parameters, minimize
+from tactorch.sensor.camera.optimize import fit_parameters
 from tactorch.sensor.description import SensorDescription
 
 _COEFFICIENTS = 4  # k1, k2, p1, p2
@@ -24,6 +23,7 @@ _REACH = 0.45  # of a match, over the pitch
 _MIN_MARKERS = 16
 _OUTLIER_PX = 0.5  # residual that counts linearly from here
 _RIDGE = 1e-6
+_SCALES = {"distortion": 0.1, "corners": 10.0}  # typical changes, the latter in px
 _ITERATIONS = 200
 _FOLDS = 4
 
@@ -113,38 +113,17 @@ def _match(
 
 
 def _fit(sensor: SensorDescription, grid: Points, seen: Points) -> SensorDescription:
-    lens = Lens(sensor)
-    start = dict(lens.named_parameters())
-    scales: dict[str, float | Tensor] = {"distortion": 0.1, "corners": 10.0}
-    places, markers = torch.from_numpy(grid), torch.from_numpy(seen)
+    lens, places, markers = Lens(sensor), torch.from_numpy(grid), torch.from_numpy(seen)
 
-    def loss(parameters: Parameters) -> Tensor:
-        predicted = functional_call(_RawPositions(lens), _of_lens(parameters), (places,))
-        squares = (predicted - markers).square().sum(dim=1) / _OUTLIER_PX**2
-        changes = [
-            ((parameters[n] - start[n].detach()) / s).square().sum() for n, s in scales.items()
-        ]
-        return (torch.sqrt(1.0 + squares) - 1.0).mean() + _RIDGE * torch.stack(changes).sum()
+    def loss() -> Tensor:
+        squares = (lens.raw_positions(places) - markers).square().sum(dim=1) / _OUTLIER_PX**2
+        return (torch.sqrt(1.0 + squares) - 1.0).mean()
 
-    fitted, _ = minimize(loss, start, scales, _ITERATIONS)
-    a, b, c, d = ((x, y) for x, y in fitted["corners"].tolist())
-    distortion = tuple(fitted["distortion"].tolist())
+    fit_parameters(lens, loss, _SCALES, _ITERATIONS, _RIDGE)
+    assert lens.corners is not None
+    a, b, c, d = ((x, y) for x, y in lens.corners.tolist())
+    distortion = tuple(lens.distortion.tolist())
     return replace(sensor, distortion=distortion, warp_corners_px=(a, b, c, d))
-
-
-class _RawPositions(torch.nn.Module):
-    """Module whose call is `Lens.raw_positions`."""
-
-    def __init__(self, lens: Lens) -> None:
-        super().__init__()
-        self.lens = lens
-
-    def forward(self, rectified: Tensor) -> Tensor:
-        return self.lens.raw_positions(rectified)
-
-
-def _of_lens(parameters: Parameters) -> dict[str, Tensor]:
-    return {f"lens.{name}": value for name, value in parameters.items()}
 
 
 def _rms(sensor: SensorDescription, grid: Points, seen: Points) -> float:

@@ -12,10 +12,9 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.func import functional_call
 
 from tactorch.errors import ConfigError
-from tactorch.sensor.camera.optimize import Parameters, minimize
+from tactorch.sensor.camera.optimize import fit_parameters
 from tactorch.sensor.camera.shading import Shading
 from tactorch.sensor.light import COLOUR_UNIT
 
@@ -70,14 +69,14 @@ def fit_light(
     drawn = np.random.default_rng(seed).permutation(len(change))[:_PIXELS]
     colours, known, where = (torch.from_numpy(v[drawn]) for v in (change, slopes, places))
     shading = initial_shading(colours, known)
-    start = dict(shading.named_parameters())
+    count = sum(shading.get_parameter(name).numel() for name in SCALES)
 
-    def loss(parameters: Parameters) -> Tensor:
-        residual = _rendered_change(shading, parameters, known, where) - colours
-        return _robust(residual) + _ridge(parameters, start)
+    def loss() -> Tensor:
+        """Mean pseudo-Huber loss, about half the mean square for small residuals."""
+        squares = ((shading.change(known, where) - colours) / _OUTLIER).square()
+        return _OUTLIER**2 * (torch.sqrt(1.0 + squares) - 1.0).mean()
 
-    fitted, _ = minimize(loss, start, SCALES, iterations)
-    _set_parameters(shading, fitted)
+    fit_parameters(shading, loss, SCALES, iterations, _RIDGE * _OUTLIER**2 / count)
     with torch.no_grad():
         residual = shading.change(known, where) - colours
     return LightFit(shading, float(residual.square().mean().sqrt()))
@@ -90,32 +89,3 @@ def initial_shading(change: Rows, slopes: Float[Tensor, "n 2"]) -> Shading:
     strength = COLOUR_UNIT * by_slope.norm(dim=0) / np.cos(np.deg2rad(_ELEVATION_DEG))
     colours = torch.diag(strength).tolist()
     return Shading(azimuths, _ELEVATION_DEG, colours, (_AMBIENT,) * 3, _FALLOFF)
-
-
-def _rendered_change(
-    shading: Shading, parameters: Parameters, slopes: Tensor, places: Tensor
-) -> Tensor:
-    names = dict(shading.named_parameters())
-    own = {name: value for name, value in parameters.items() if name in names}
-    colours = functional_call(shading, own, (slopes, places))
-    level = functional_call(shading, own, (torch.zeros_like(slopes), places))
-    return (colours - level) / COLOUR_UNIT
-
-
-def _robust(residual: Tensor) -> Tensor:
-    """Mean pseudo-Huber loss, about half the mean square for small residuals."""
-    return _OUTLIER**2 * (torch.sqrt(1.0 + (residual / _OUTLIER) ** 2) - 1.0).mean()
-
-
-def _ridge(parameters: Parameters, start: Parameters) -> Tensor:
-    changes = [
-        ((parameters[name] - start[name].detach()) / scale).flatten()
-        for name, scale in SCALES.items()
-    ]
-    return _RIDGE * _OUTLIER**2 * torch.cat(changes).square().mean()
-
-
-def _set_parameters(shading: Shading, values: Parameters) -> None:
-    with torch.no_grad():
-        for name, parameter in shading.named_parameters():
-            parameter.copy_(values[name])

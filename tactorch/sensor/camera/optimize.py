@@ -1,58 +1,56 @@
-"""Minimization of functions of named tensors by gradients (L-BFGS, Nocedal 1980)."""
+"""Fit of the parameters of a module by gradients (L-BFGS, Nocedal 1980)."""
 
 from collections.abc import Callable, Mapping
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 _HISTORY = 30
 _TOLERANCE = 1e-10
 
-Parameters = Mapping[str, Tensor]
 
-
-def minimize(
-    loss: Callable[[Parameters], Tensor],
-    start: Parameters,
-    scales: Mapping[str, float | Tensor],
+def fit_parameters(
+    module: nn.Module,
+    loss: Callable[[], Tensor],
+    scales: Mapping[str, float],
     iterations: int,
-) -> tuple[dict[str, Tensor], float]:
-    """Minimize a loss over the tensors that have a scale, from their start values.
+    ridge: float,
+) -> None:
+    """Set the parameters of a module that have a scale to where a loss is smallest.
+
+    Where the loss is not finite, the line search steps back.
 
     Args:
-        loss: Function of all tensors by name.
-        start: Start values; those without a scale are kept.
-        scales: Typical size of the change of a tensor, by which it is divided.
+        module: The module, whose present parameters are the start.
+        loss: Loss with the parameters of the module.
+        scales: Typical size of the change of each parameter that is fitted.
         iterations: Largest number of iterations.
-
-    Returns:
-        The tensors at the smallest loss found, and this loss. Where the loss is not finite, the
-        line search steps back.
+        ridge: Weight of the squared changes over their scales.
     """
-    first = next(iter(start.values()))
-    variables = {
-        name: torch.zeros_like(start[name], requires_grad=True, device=first.device)
-        for name in scales
-    }
+    parameters = [module.get_parameter(name) for name in scales]
+    start = [parameter.detach().clone() for parameter in parameters]
+    changes = [torch.zeros_like(values) for values in start]
+    rows = list(zip(parameters, start, changes, scales.values(), strict=True))
     optimizer = torch.optim.LBFGS(
-        list(variables.values()), max_iter=iterations, history_size=_HISTORY,
-        line_search_fn="strong_wolfe", tolerance_change=_TOLERANCE,
+        changes, max_iter=iterations, history_size=_HISTORY, line_search_fn="strong_wolfe",
+        tolerance_change=_TOLERANCE,
     )  # fmt: skip
-    best: tuple[float, dict[str, Tensor]] = (float("inf"), {})
-
-    def tensors() -> dict[str, Tensor]:
-        moved = {name: start[name].detach() + scales[name] * x for name, x in variables.items()}
-        return {**{name: value.detach() for name, value in start.items()}, **moved}
+    best, best_values = float("inf"), start
 
     def closure() -> Tensor:
-        nonlocal best
-        optimizer.zero_grad()
-        current = tensors()
-        value = loss(current)
-        if float(value.detach()) < best[0]:
-            best = float(value.detach()), {name: t.detach().clone() for name, t in current.items()}
-        value.backward()
+        nonlocal best, best_values
+        with torch.no_grad():
+            for parameter, values, change, scale in rows:
+                parameter.copy_(values + scale * change)
+        value = loss() + ridge * torch.cat([change.flatten() for change in changes]).square().sum()
+        if float(value.detach()) < best:
+            best, best_values = float(value.detach()), [p.detach().clone() for p in parameters]
+        slopes = torch.autograd.grad(value, parameters)
+        for (_, _, change, scale), slope in zip(rows, slopes, strict=True):
+            change.grad = (scale * slope + 2.0 * ridge * change).contiguous()
         return value
 
     optimizer.step(closure)
-    return best[1], best[0]
+    with torch.no_grad():
+        for parameter, values in zip(parameters, best_values, strict=True):
+            parameter.copy_(values)

@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.func import jvp
 
 from tactorch.sensor.light import COLOUR_UNIT
 
@@ -24,6 +25,8 @@ _PLACES = 3  # of a field that is linear over the image: constant, x, y
 
 Pixels = Float[Tensor, "*#n 2"]  # places are those of every image of a batch
 Colours = Float[Tensor, "*n 3"]
+Slopes = Float[Tensor, "*n 2"]
+Lit = Float[Tensor, "*n l"]
 
 
 class Shading(nn.Module):
@@ -72,12 +75,7 @@ class Shading(nn.Module):
         self.mixing = parameter(torch.eye(3))
         self.gamma = parameter(torch.ones(3))
 
-    def forward(
-        self,
-        slopes: Float[Tensor, "*n 2"],
-        places: Pixels,
-        lit: Float[Tensor, "*n l"] | None = None,
-    ) -> Colours:
+    def forward(self, slopes: Slopes, places: Pixels, lit: Lit | None = None) -> Colours:
         """Return gray values of pixels.
 
         Args:
@@ -87,16 +85,20 @@ class Shading(nn.Module):
         """
         return self.respond(self.light(slopes, places, lit))
 
-    def change(self, slopes: Float[Tensor, "*n 2"], places: Pixels) -> Colours:
+    def change(self, slopes: Slopes, places: Pixels) -> Colours:
         """Return the change of the colours from the level face, in units of 50 gray values."""
         return (self(slopes, places) - self(torch.zeros_like(slopes), places)) / COLOUR_UNIT
 
-    def light(
-        self,
-        slopes: Float[Tensor, "*n 2"],
-        places: Pixels,
-        lit: Float[Tensor, "*n l"] | None = None,
-    ) -> Colours:
+    def linearize(self, slopes: Slopes, places: Pixels) -> tuple[Colours, Float[Tensor, "*n 3 2"]]:
+        """Return `change`, and its derivatives by both slopes."""
+        derivatives = []
+        for axis in torch.eye(2, dtype=slopes.dtype):
+            along = (axis.expand_as(slopes),)
+            changed, by_slope = jvp(lambda s: self.change(s, places), (slopes,), along)[:2]
+            derivatives.append(by_slope)
+        return changed, torch.stack(derivatives, dim=-1)
+
+    def light(self, slopes: Slopes, places: Pixels, lit: Lit | None = None) -> Colours:
         """Return the light from the face before the camera's response, gray values."""
         normal = normals(slopes)
         toward = torch.stack([self.azimuth.cos(), self.azimuth.sin()])  # 2 x lamps
@@ -122,7 +124,7 @@ class Shading(nn.Module):
         return constant + places[..., :1] * along_x + places[..., 1:] * along_y
 
 
-def normals(slopes: Float[Tensor, "*n 2"]) -> Float[Tensor, "*n 3"]:
+def normals(slopes: Slopes) -> Float[Tensor, "*n 3"]:
     """Return unit normals of the face toward the camera, which is on the side of -z."""
     toward = torch.cat([slopes, -torch.ones_like(slopes[..., :1])], dim=-1)
     return toward / torch.linalg.vector_norm(toward, dim=-1, keepdim=True)

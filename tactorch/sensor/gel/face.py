@@ -13,7 +13,7 @@ from tactorch.mesh import TetMesh, refine
 from tactorch.mesh.geometry import signed_volumes, vertex_areas
 from tactorch.mesh.refine import Sizing
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.gel.model import GelMesh
+from tactorch.sensor.gel.model import GelMesh, face_triangles
 
 _GROWTH = 0.7  # of the edge length with the distance from the edge of the contact
 # Step of differences of the distance, and distance of points on the edge, over the edge length.
@@ -52,7 +52,7 @@ class GelFace:
         self.nodes, self.window = np.flatnonzero(on_face), np.flatnonzero(on_window)
         self.points = mesh.points[self.nodes]
         self.inside_mm = distance(self.points[:, :2])
-        self.triangles = _face_triangles(mesh, on_face)
+        self.triangles = face_triangles(mesh, on_face)
         inside = touching[self.nodes][self.triangles].all(axis=1)
         self.touching = np.zeros(len(self.nodes), dtype=bool)
         self.touching[self.triangles[inside]] = True
@@ -64,11 +64,7 @@ class GelFace:
     ) -> "GelFace":
         """Bisect elements near the edge of a contact, and move nodes of the face onto it.
 
-        Args:
-            coarse: Mesh of the gel.
-            gel: The gel, whose face may be curved.
-            distance: Distance from the edge of the contact.
-            edge_mm: Longest edge of elements at the edge.
+        `edge_mm` is the longest edge of elements at the edge of the contact.
         """
         refinement = refine(coarse.mesh, edge_sizing(distance, edge_mm, gel))
         on_window = np.zeros(coarse.mesh.n_points, dtype=bool)
@@ -79,7 +75,7 @@ class GelFace:
         )
         points, tets = refinement.mesh.points.copy(), refinement.mesh.tets
         flat = points[on_face, :2]
-        triangles, half = _face_triangles(refinement.mesh, on_face), np.array(gel.half_size_mm)
+        triangles, half = face_triangles(refinement.mesh, on_face), np.array(gel.half_size_mm)
         moved = _onto_edge(flat, triangles, distance, _STEP * edge_mm, half)
         target = points.copy()
         target[on_face] = np.column_stack([moved, gel.height_mm(moved)])
@@ -101,10 +97,8 @@ class GelFace:
         Williams, Gaussian Processes for Machine Learning, 2006, sec. 4.2), whose length is half
         that of a square of the area of the contact. At the edge of a soft object, where the
         traction is singular, the displacement changes within a short distance: its variance
-        increases toward the edge, to twice that inside.
-
-        Args:
-            count: Number of principal functions.
+        increases toward the edge, to twice that inside. `count` is the number of principal
+        functions.
         """
         flat = self.points[self.touching, :2]
         areas, part = self._contact_areas(flat), self._parts()
@@ -136,12 +130,6 @@ class GelFace:
         graph = coo_matrix((np.ones(len(first)), (first, second)), shape=(n, n))
         _, part = connected_components(graph, directed=False)
         return part
-
-
-def _face_triangles(mesh: TetMesh, on_face: Bool[np.ndarray, " n"]) -> Int[np.ndarray, "t 3"]:
-    """Triangles of the outer face, as indices among its nodes."""
-    outer = on_face[mesh.surface.triangles].all(axis=1)
-    return (np.cumsum(on_face) - 1)[mesh.surface.triangles[outer]]
 
 
 def edge_sizing(distance: EdgeDistance, edge_mm: float, gel: GelLayer) -> Sizing:
@@ -186,12 +174,8 @@ def _closest_to_edge(
 ) -> Bool[np.ndarray, " k"]:
     """Return the points to be moved onto the edge of the contact: the closest ones, one by one.
 
-    Of the three points of a triangle, which would become flat, one remains.
-
-    Args:
-        movable: Distances of points that may move; infinite for others.
-        away: Distances of all points; of opposite signs at the ends of an edge that is crossed.
-        triangles: Triangles of the face.
+    Of the three points of a triangle, which would become flat, one remains. `movable` are the
+    distances of points that may move, infinite for others.
     """
     edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0)
     crossed = edges[away[edges[:, 0]] * away[edges[:, 1]] < 0.0]

@@ -88,11 +88,8 @@ class FaceData:
         The stated deviations of the depth become independent and smooth errors, the latter as a
         Gaussian process with a Matern covariance of smoothness 3/2, and one of the level of the
         contact. Deviations near its edge are increased, since elements there do not follow the
-        singular field (a gel with exact data had up to 4 % too much force otherwise).
-
-        Args:
-            distance: Distance from the edge of the contact.
-            edge_mm: Length of the edges of elements there.
+        singular field (a gel with exact data had up to 4 % too much force otherwise); `edge_mm` is
+        the length of the edges of elements there.
         """
         depth = self.axes == 2
         away, points = distance(self.points_mm), self.points_mm[depth]
@@ -133,24 +130,12 @@ class FaceData:
     ) -> sp.csr_matrix:
         """Return the map from displacements of the face's nodes (flat, mm) to the data.
 
-        Args:
-            points: Nodes of the face at rest, mm.
-            triangles: Triangles of the face.
+        Data outside of the triangles of the face are those of the nearest one.
         """
-        owners, shares = _locate(points[:, :2], triangles, self.points_mm)
-        columns = 3 * triangles[owners] + self.axes[:, None]
+        flat, queries = (np.pad(at[:, :2], ((0, 0), (0, 1))) for at in (points, self.points_mm))
+        closest = closest_points(flat, triangles, queries)
+        columns = 3 * triangles[closest.triangles] + self.axes[:, None]
         numbers = np.repeat(np.arange(len(self.axes)), 3)
         shape = (len(self.axes), 3 * len(points))
-        return sp.csr_matrix((shares.ravel(), (numbers, columns.ravel())), shape=shape)
-
-
-def _locate(
-    nodes: Float[np.ndarray, "k 2"],
-    triangles: Int[np.ndarray, "t 3"],
-    points: Float[np.ndarray, "d 2"],
-) -> tuple[Int[np.ndarray, " d"], Float[np.ndarray, "d 3"]]:
-    """Return the triangle of each point with barycentric coordinates; the nearest if outside."""
-    flat = np.column_stack([nodes, np.zeros(len(nodes))])
-    queries = np.column_stack([points, np.zeros(len(points))])
-    closest = closest_points(flat, triangles, queries)
-    return closest.triangles, closest.barycentric
+        shares = closest.barycentric.ravel()
+        return sp.csr_matrix((shares, (numbers, columns.ravel())), shape=shape)

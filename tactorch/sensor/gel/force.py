@@ -10,16 +10,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from tactorch.config import Options, option
 from tactorch.mesh.values import Real
 from tactorch.sensor.gel.compliance import Report, face_compliance
 from tactorch.sensor.gel.force_expansion import expand_forces
-from tactorch.sensor.gel.force_fit import ForceFit, require_push
+from tactorch.sensor.gel.force_fit import ForceFit, Mask, Vectors, require_push
 from tactorch.sensor.gel.model import GelContact, GelModel
-
-__all__ = ["ForceOptions", "ForceSolver"]
 
 #: Displacement over the gel's thickness up to which `deformation=auto` takes the gel as linear.
 LINEAR_FRACTION = 0.05
@@ -40,10 +38,6 @@ class ForceSolver:
     """Solver for the smooth forces behind displacements of a gel's face, frame by frame.
 
     The estimate is that of `GelModel.smooth_forces`, which solves the equilibrium by iteration.
-
-    Args:
-        model: Model of the gel.
-        options: Model of the deformation.
     """
 
     def __init__(self, model: GelModel, options: ForceOptions | None = None) -> None:
@@ -61,12 +55,7 @@ class ForceSolver:
             self._is_prepared = True
 
     def solve(
-        self,
-        displacement: Float[np.ndarray, "k 3"],
-        noise_mm: Real,
-        contact: Bool[np.ndarray, " k"],
-        *,
-        free_plane: bool = False,
+        self, displacement: Vectors, noise_mm: Real, contact: Mask, *, free_plane: bool = False
     ) -> GelContact:
         """Return the most likely smooth forces; arguments are those of `GelModel.smooth_forces`.
 
@@ -92,12 +81,12 @@ class ForceSolver:
             return fit.without_tangential(forces, moved, covariance)
         return GelContact(self.model.points, moved, forces, covariance)
 
-    def _is_large(self, moved: Float[np.ndarray, "k 3"]) -> bool:
+    def _is_large(self, moved: Vectors) -> bool:
         if self.options.deformation != "auto":
             return self.options.deformation == "large"
         return float(np.abs(moved).max()) > LINEAR_FRACTION * float(self.model.gel.thickness_mm)
 
-    def _columns(self, loaded: Bool[np.ndarray, " k"]) -> Float[np.ndarray, "k3 f"]:
+    def _columns(self, loaded: Mask) -> Float[np.ndarray, "k3 f"]:
         """Compliance at rest by forces on some nodes."""
         if self._compliance is None:
             return self.model.rest_compliance(loaded)

@@ -16,7 +16,6 @@ _MAX_PULL = 0.3  # of the pushing forces; less is noise at the rim of the contac
 _MAX_RELEASES = 8
 
 Vectors = Float[np.ndarray, "k 3"]
-Nodes = Float[np.ndarray, "nodes 3"]
 Mask = Bool[np.ndarray, " k"]
 Covariance = Float[np.ndarray, "3 3"]
 
@@ -24,13 +23,8 @@ Covariance = Float[np.ndarray, "3 3"]
 class ForceFit:
     """Fit of the forces on the nodes in contact to the displacements of a frame.
 
-    Args:
-        model: Model of the gel.
-        columns: Function that returns the compliance at rest by forces on some nodes, (3k, f).
-        displacement: Displacements of the nodes of the face, mm; NaN where unknown.
-        noise_mm: Lower bound of the standard deviation of the displacements, mm.
-        contact: Nodes that may carry a force.
-        free_plane: Whether displacements along z are known up to a constant and a tilt.
+    Arguments are those of `GelModel.smooth_forces`; `columns` returns the compliance at rest by
+    forces on some nodes, (3k, f).
 
     Attributes:
         normal_only: Whether only displacements along z are known: forces then are along z.
@@ -67,11 +61,6 @@ class ForceFit:
         self.loaded, self._compliance = loaded, self._columns(loaded)
         self._fit = SmoothFit(self._compliance[self.known.ravel()], self._plane, basis)
 
-    @property
-    def thickness_mm(self) -> float:
-        """Thickness of the gel."""
-        return float(self.model.gel.thickness_mm)
-
     def face_displacement(self, forces: Vectors) -> Vectors:
         """Return the displacements of the face by forces at rest, mm."""
         return (self._compliance @ forces[self.loaded].ravel()).reshape(-1, 3)
@@ -107,29 +96,6 @@ class ForceFit:
         forces = np.zeros(self.displacement.shape)
         forces[self.loaded] = fitted.reshape(-1, 3)
         return forces
-
-    def solve(self, forces: Nodes) -> Nodes:
-        """Return the displacements at small strains of all element nodes by forces on them, mm."""
-        return self.model.linearize().solve(forces.ravel()).reshape(-1, 3)
-
-    def respond(self, forces: Vectors) -> Nodes:
-        """Return the displacements at small strains of all element nodes by forces on the face."""
-        return self.solve(self.model.element_loads(forces))
-
-    def internal_forces(self, displacement: Nodes) -> Nodes:
-        """Return the elastic forces (N) at displacements (mm) of all element nodes.
-
-        Raises:
-            ConvergenceError: An element is inverted.
-        """
-        assembly = self.model.body.assembly
-        response = assembly.respond(displacement)
-        if response is None:
-            raise ConvergenceError(
-                "the measured deformation inverts elements of the gel; the depth or the markers of"
-                " this frame are wrong."
-            )
-        return assembly.internal_force(response, self.model.youngs)
 
     def without_tangential(
         self, forces: Vectors, moved: Vectors, covariance: Covariance

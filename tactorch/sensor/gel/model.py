@@ -14,19 +14,16 @@ import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
 
 from tactorch.config import Options, option
-from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.fem import NewtonOptions, SoftBody, Supports, make_material
+from tactorch.errors import ConfigError
 from tactorch.fem.equilibrium import SolvedCase
-from tactorch.fem.linearization import Linearization
-from tactorch.fem.newton import EquilibriumResult
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.mesh.geometry import vertex_areas
 from tactorch.mesh.values import Real, positive
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.gel.tractions import fit_smooth_forces, traction_basis
+from tactorch.sensor.gel.body import GelBody, NodeVectors, rms
+from tactorch.sensor.gel.tractions import SmoothFit, traction_basis
 
 _MAX_CELLS = 200_000
-_NEWTON_RTOL = 1e-8
 _MAX_LINEARIZATIONS = 8
 _FORCE_RTOL = 1e-3  # change of the forces at convergence
 _NOISE_FRACTION = 0.1  # acceptable linearization error, relative to the noise
@@ -34,11 +31,8 @@ _NOISE_FRACTION = 0.1  # acceptable linearization error, relative to the noise
 # or of the error in the previous iteration.
 _DISPLACEMENT_FRACTION, _ERROR_DECREASE = 0.05, 0.3
 
-__all__ = ["GelContact", "GelModel", "GelOptions"]
-
 FaceVectors = Float[np.ndarray, "k 3"]
 FaceMask = Bool[np.ndarray, " k"]
-NodeVectors = Float[np.ndarray, "nodes 3"]
 
 
 @dataclass(frozen=True)
@@ -56,10 +50,12 @@ class GelMesh:
     """Regular tetrahedra that become thinner toward the outer face near z = 0.
 
     `edge_mm` is the edge length of a cell on this face, `layers` the number of cells through the
-    thickness. The nodes `window` at z = -thickness are bonded to the rigid window.
+    thickness. The nodes `window` at z = -thickness are bonded to the rigid window. `center` is the
+    edge length of a cell at the center of the face over the mean one.
     """
 
-    def __init__(self, gel: GelLayer, edge_mm: Real, layers: int) -> None:
+    def __init__(self, gel: GelLayer, edge_mm: Real, layers: int, center: float = 1.0) -> None:
+        self.layer = gel
         edge, half = positive("edge_mm", edge_mm), np.array(gel.half_size_mm)
         counts = np.maximum(np.round(2 * half / edge).astype(int), 1)
         if counts.min() < 4 or layers < 1:
@@ -74,6 +70,10 @@ class GelMesh:
         cube = box_mesh((2.0, 2.0, 1.0), (*counts.tolist(), layers), origin_mm=(-1.0, -1.0, -1.0))
         square = cube.points[:, :2]
         flat = square * half if gel.size_mm is not None else _square_to_disc(square) * half
+        outward = (flat / half) ** 2
+        if gel.size_mm is None:
+            outward = outward.sum(axis=1, keepdims=True)
+        flat = flat * (center + (1.0 - center) * outward)
         depth = -cube.points[:, 2]  # 0 at the outer face, 1 at the window
         graded = depth * (0.5 + 0.5 * depth)  # the outermost cells are about half as thick
         face_height = gel.height_mm(flat)
@@ -82,9 +82,7 @@ class GelMesh:
         self.on_face = depth < 1e-9
         self.face, self.window = np.flatnonzero(self.on_face), np.flatnonzero(depth > 1 - 1e-9)
         self.face_points = self.mesh.points[self.face]  # at rest
-        surface = self.mesh.surface
-        outer = self.on_face[surface.triangles].all(axis=1)
-        self.face_triangles = (np.cumsum(self.on_face) - 1)[surface.triangles[outer]]
+        self.face_triangles = face_triangles(self.mesh, self.on_face)
         self.face_areas = vertex_areas(self.face_points, self.face_triangles)  # mm^2
 
     def edges(self, selected: Bool[np.ndarray, " k"]) -> Int[np.ndarray, "e 2"]:
@@ -92,6 +90,12 @@ class GelMesh:
         index = np.where(selected, np.cumsum(selected) - 1, -1)
         pairs = index[self.face_triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)]
         return np.unique(np.sort(pairs[(pairs >= 0).all(axis=1)], axis=1), axis=0)
+
+
+def face_triangles(mesh: TetMesh, on_face: Bool[np.ndarray, " n"]) -> Int[np.ndarray, "t 3"]:
+    """Return the triangles of the outer face, as indices among its nodes."""
+    triangles = mesh.surface.triangles
+    return (np.cumsum(on_face) - 1)[triangles[on_face[triangles].all(axis=1)]]
 
 
 def _square_to_disc(square: Float[np.ndarray, "n 2"]) -> np.ndarray:
@@ -172,28 +176,19 @@ class GelContact:
         return self.forces.sum(axis=0)
 
 
-class GelModel:
+class GelModel(GelBody):
     """Finite element model of a gel that computes the forces behind a deformation.
-
-    Args:
-        gel: Gel layer.
-        options: Discretization.
 
     Attributes:
         points: Rest positions of the nodes of the outer face, (k, 3), mm.
         gel_mesh: Mesh and its outer face.
-        body: Finite element model.
-        youngs: Young's modulus of each element, MPa.
     """
 
     def __init__(self, gel: GelLayer, options: GelOptions | None = None) -> None:
         self.gel, options = gel, options or GelOptions()
         self.gel_mesh = GelMesh(gel, options.edge_mm, options.layers)
         self.points = self.gel_mesh.face_points
-        self.youngs = np.full(self.gel_mesh.mesh.n_tets, gel.youngs_mpa)
-        law = make_material(gel.material, gel.poisson)
-        newton = NewtonOptions(rtol=_NEWTON_RTOL)
-        self.body = SoftBody(self.gel_mesh.mesh, law, element=options.element, newton=newton)
+        super().__init__(self.gel_mesh.mesh, gel, options.element)
         self._rest_columns: dict[int, np.ndarray] = {}  # compliance at rest by node, mm/N
 
     def forces(self, displacement: FaceVectors, noise_mm: Real | None = None) -> GelContact:
@@ -208,9 +203,7 @@ class GelModel:
         """
         known = self.known(displacement)
         state = self._equilibrium(np.zeros(displacement.shape), displacement)
-        response = state.result.response
-        assert response is not None
-        reactions = self._gather(self.body.assembly.internal_force(response, self.youngs))
+        reactions = self._gather(self.internal_forces(state))
         covariance = None
         if noise_mm is not None:
             sensitivity = self._total_force_sensitivity(state, known)
@@ -247,36 +240,36 @@ class GelModel:
         basis = traction_basis(self.gel_mesh.edges(loaded), self.gel_mesh.face_areas[loaded])
         rows = known.ravel()
         plane = self.plane_modes()[rows] if free_plane else np.zeros((int(known.sum()), 0))
-        forces, state = np.zeros((len(self.points), 3)), self._rest
+        forces, state = np.zeros((len(self.points), 3)), self.rest
         linearized, compliance, last_error = state, self.rest_compliance(loaded), np.inf
         for _ in range(_MAX_LINEARIZATIONS):
             residual = (np.nan_to_num(displacement) - state.result.displacement[face])[known]
             target = residual + compliance[rows] @ forces[loaded].ravel()
-            fitted, covariance, noise = fit_smooth_forces(
-                compliance[rows], plane, target, basis, float(noise_mm)
-            )
+            fit = SmoothFit(compliance[rows], plane, basis)
+            fitted, covariance, noise = fit.fit(target, float(noise_mm))
             change = np.zeros_like(forces)
             change[loaded] = fitted.reshape(-1, 3) - forces[loaded]
             forces = forces + change
-            step = linearized.linearization.solve((self._load_matrix @ change).ravel())
+            step = linearized.linearization.solve((self.load_matrix @ change).ravel())
             predicted = state.result.displacement + step.reshape(-1, 3)
             previous = None if state is linearized else state
             state = self._equilibrium(forces, start=predicted, previous=previous)
-            error = _rms((state.result.displacement - predicted)[face])
-            if error <= _NOISE_FRACTION * noise or _rms(change) <= _FORCE_RTOL * _rms(forces):
+            error = rms((state.result.displacement - predicted)[face])
+            if error <= _NOISE_FRACTION * noise or rms(change) <= _FORCE_RTOL * rms(forces):
                 break
-            size = _rms(state.result.displacement[face])
+            size = rms(state.result.displacement[face])
             if error > min(_DISPLACEMENT_FRACTION * size, _ERROR_DECREASE * last_error):
                 linearized, compliance = state, self._compliance(state, loaded)
             last_error = error
         return GelContact(self.points, state.result.displacement[face], forces, covariance)
 
     @cached_property
-    def _rest(self) -> SolvedCase:
+    def rest(self) -> SolvedCase:
+        """The gel without loads."""
         return self._equilibrium(np.zeros((len(self.points), 3)))
 
     @cached_property
-    def _load_matrix(self) -> sp.csc_matrix:
+    def load_matrix(self) -> sp.csc_matrix:
         """Forces on all element nodes from those on the nodes of the face, (nodes, k)."""
         # On quadratic elements a nodal force is distributed as a traction around the node: a point
         # force would have an unbounded displacement as the mesh is refined.
@@ -287,7 +280,7 @@ class GelModel:
 
     def _gather(self, forces: NodeVectors) -> FaceVectors:
         """Forces on the face from those on all element nodes; midside nodes go to both ends."""
-        return at_vertices(self.body, forces, self.gel_mesh.on_face)[self.gel_mesh.face]
+        return self.at_vertices(forces, self.gel_mesh.on_face)[self.gel_mesh.face]
 
     def _equilibrium(
         self,
@@ -296,18 +289,11 @@ class GelModel:
         start: NodeVectors | None = None,
         previous: SolvedCase | None = None,
     ) -> SolvedCase:
-        """Equilibrium under forces on the face and displacements of it; NaN where it is free.
-
-        The factorization of a previous state is reused.
-        """
+        """Equilibrium under forces on the face and displacements of it; NaN where it is free."""
         prescribed = np.full(self.gel_mesh.mesh.points.shape, np.nan)
         prescribed[self.gel_mesh.window] = 0.0
         prescribed[self.gel_mesh.face] = displacement
-        fixed = np.isfinite(prescribed)
-        supports = Supports(fixed=fixed, prescribed=np.where(fixed, prescribed, 0.0))
-        load, after = self._load_matrix @ forces, None if previous is None else previous.newton
-        newton = self.body.search(self.youngs, load, supports, after=after)
-        return SolvedCase(newton, newton.run(start).require())
+        return self.equilibrium(prescribed, self.load_matrix @ forces, start, previous)
 
     def rest_compliance(self, loaded: FaceMask) -> Float[np.ndarray, "k3 f"]:
         """Compliance at rest; columns are cached, since presses load similar nodes."""
@@ -316,35 +302,13 @@ class GelModel:
         if missing:
             selected = np.zeros(len(loaded), dtype=bool)
             selected[missing] = True
-            columns = np.split(self._compliance(self._rest, selected), len(missing), axis=1)
+            columns = np.split(self._compliance(self.rest, selected), len(missing), axis=1)
             self._rest_columns.update(zip(missing, columns, strict=True))
         return np.hstack([self._rest_columns[i] for i in nodes])
 
-    def linearize(self, displacement: NodeVectors | None = None) -> Linearization:
-        """Return the tangent at displacements (mm) of all element nodes; at rest by default.
-
-        Raises:
-            ConvergenceError: An element is inverted.
-        """
-        if displacement is None:
-            return self._rest.linearization
-        response = self.body.assembly.respond(displacement)
-        if response is None:
-            raise ConvergenceError("The displacements invert an element of the gel.")
-        prescribed = np.zeros(self.gel_mesh.mesh.points.shape)
-        fixed = np.zeros(prescribed.shape, dtype=bool)
-        fixed[self.gel_mesh.window] = True
-        newton = self.body.search(self.youngs, prescribed, Supports(fixed=fixed))
-        state = EquilibriumResult(displacement, True, "linearized", response=response)
-        return newton.linearize(state)
-
-    def element_loads(self, forces: FaceVectors) -> NodeVectors:
-        """Return forces on all element nodes from those on the nodes of the face, N."""
-        return np.asarray(self._load_matrix @ forces)
-
     def _compliance(self, state: SolvedCase, loaded: FaceMask) -> Float[np.ndarray, "k3 f"]:
         """Displacement of the face under unit forces on the loaded nodes."""
-        loads = np.asfortranarray(np.kron(self._load_matrix[:, loaded].toarray(), np.eye(3)))
+        loads = np.asfortranarray(np.kron(self.load_matrix[:, loaded].toarray(), np.eye(3)))
         solution = state.linearization.solve(loads).reshape(self.body.n_nodes, 3, -1)
         return solution[self.gel_mesh.face].reshape(3 * len(self.points), -1)
 
@@ -354,18 +318,11 @@ class GelModel:
         """Derivative of the total force (rows) with respect to the prescribed displacements."""
         # The tangent is symmetric: these are the forces on the face when all its known components
         # move along an axis.
-        linear = state.linearization
-        values = self.body.assembly.tangent(linear.response, self.youngs)
-        pattern, extend = self.body.discretisation.pattern, self.body.discretisation.extend
-        rows = []
+        moved = np.zeros((3, *self.gel_mesh.mesh.points.shape))
         for axis in range(3):
-            moved = np.zeros(self.gel_mesh.mesh.points.shape)
-            moved[self.gel_mesh.face, axis] = known[:, axis]
-            prescribed = np.where(linear.fixed, extend(moved).ravel(), 0.0)
-            total = prescribed - linear.solve(pattern.product(values, prescribed))
-            reaction = pattern.product(values, total).reshape(-1, 3)
-            rows.append(self._gather(reaction)[known])
-        return np.stack(rows)
+            moved[axis, self.gel_mesh.face, axis] = known[:, axis]
+        reactions = state.newton.tangent_times(state.result, self.fields(state, moved))
+        return np.stack([self._gather(force.reshape(-1, 3))[known] for force in reactions.T])
 
     def plane_modes(self) -> Float[np.ndarray, "k3 3"]:
         """Displacements of the face along z: a constant and two tilts."""
@@ -385,23 +342,3 @@ class GelModel:
         if not known.any():
             raise ConfigError("no displacement of the gel is known; give the shape of its face.")
         return known
-
-
-def at_vertices(
-    body: SoftBody, forces: NodeVectors, selected: Bool[np.ndarray, " n"]
-) -> Float[np.ndarray, "n 3"]:
-    """Return forces on the vertices of a mesh from those on all element nodes.
-
-    Forces on midside nodes are divided between both ends, where both are selected.
-    """
-    n, edges = body.mesh.n_points, body.discretisation.edges
-    gathered = forces[:n].copy()
-    if len(forces) > n:
-        within = selected[edges].all(axis=1)
-        for end in (0, 1):
-            np.add.at(gathered, edges[within, end], 0.5 * forces[n:][within])
-    return gathered
-
-
-def _rms(values: FaceVectors) -> float:
-    return float(np.sqrt(np.mean(values**2)))

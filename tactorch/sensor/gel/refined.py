@@ -15,17 +15,16 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError
-from tactorch.fem import NewtonOptions, SoftBody, Supports, make_material
 from tactorch.fem.equilibrium import SolvedCase
 from tactorch.sensor.description import GelLayer
+from tactorch.sensor.gel.body import GelBody, rms
 from tactorch.sensor.gel.face import EdgeDistance, GelFace
 from tactorch.sensor.gel.face_data import FaceData
 from tactorch.sensor.gel.force_fit import require_push
-from tactorch.sensor.gel.model import GelContact, GelErrors, GelModel, at_vertices
+from tactorch.sensor.gel.model import GelContact, GelErrors, GelModel
 from tactorch.sensor.gel.tractions import SmoothFit
 
 _MODES = 90  # smooth modes of the displacement of the contact along each axis
-_NEWTON_RTOL = 1e-8
 _MAX_ITERATIONS, _MAX_LINEARIZATIONS = 8, 3
 _RTOL = 2e-3  # change of the displacements at convergence
 # Edge length of elements over that of a square of the area of the contact, and the smallest, mm.
@@ -36,8 +35,12 @@ _SAMPLE_MM = 0.1  # distance of the points that measure the area
 _EDGE_ERROR = 0.1
 _NOISE_FRACTION = 0.1  # acceptable linearization error, relative to the deviations of the data
 
+Vectors = Float[np.ndarray, "k 3"]
+Modes = Float[np.ndarray, "c m"]
+Fields = Float[np.ndarray, "unknowns m3"]
 
-class RefinedGel:
+
+class RefinedGel(GelBody):
     """Finite element model of a gel with small elements at the edge of one contact.
 
     Args:
@@ -48,7 +51,6 @@ class RefinedGel:
     Attributes:
         edge_mm: Longest edge of elements at the edge of the contact, mm.
         face: Mesh with its outer face and the contact.
-        body: Finite element model.
 
     Raises:
         ConfigError: No triangle of the face is in contact.
@@ -62,11 +64,8 @@ class RefinedGel:
                 "the contact is smaller than the elements of the gel; give less than"
                 f" {self.edge_mm:g} mm for contact_edge_mm."
             )
-        law = make_material(model.gel.material, model.gel.poisson)
         element = "tet10" if model.body.discretisation.element.quadratic else "tet4"
-        newton = NewtonOptions(rtol=_NEWTON_RTOL)
-        self.body = SoftBody(self.face.mesh, law, element=element, newton=newton)
-        self.youngs = np.full(self.face.mesh.n_tets, model.gel.youngs_mpa)
+        super().__init__(self.face.mesh, model.gel, element)
         self._near = self.face.inside_mm < self.edge_mm
 
     def solve(self, data: FaceData, *, free_plane: bool = False) -> GelContact:
@@ -76,11 +75,8 @@ class RefinedGel:
         displacements have in common, since the forces follow from the displacements, and those of
         the forces near the edge, where the mesh does not follow the singular traction. Deviations
         of the data are increased by a common factor where no smooth displacement of the contact
-        explains the data within them.
-
-        Args:
-            data: Measured displacements.
-            free_plane: Whether displacements along z are known up to a constant and a tilt.
+        explains the data within them. `free_plane` tells whether displacements along z are known up
+        to a constant and a tilt.
 
         Raises:
             ConvergenceError: Newton's method does not converge, or the gel would be pulled.
@@ -102,8 +98,8 @@ class RefinedGel:
             predicted = before + (on_face @ change).reshape(-1, 3)
             state = self._equilibrium(modes @ amplitudes.reshape(-1, 3), state)
             wrong = rows @ (self._moved(state) - predicted).ravel()
-            small = _rms(predicted - before) <= _RTOL * _rms(predicted)
-            if small or _rms(wrong) <= _NOISE_FRACTION * noise:
+            small = rms(predicted - before) <= _RTOL * rms(predicted)
+            if small or rms(wrong) <= _NOISE_FRACTION * noise:
                 break
             if iteration < _MAX_LINEARIZATIONS - 1:
                 fields = self._fields(state, modes)
@@ -123,7 +119,7 @@ class RefinedGel:
     def _rest(self) -> SolvedCase:
         return self._equilibrium(np.zeros((len(self.face.contact), 3)))
 
-    def _moved(self, state: SolvedCase) -> Float[np.ndarray, "k 3"]:
+    def _moved(self, state: SolvedCase) -> Vectors:
         """Displacements of the nodes of the face, mm."""
         return state.result.displacement[self.face.nodes]
 
@@ -131,62 +127,43 @@ class RefinedGel:
         self, displacement: Float[np.ndarray, "c 3"], previous: SolvedCase | None = None
     ) -> SolvedCase:
         """Equilibrium with prescribed displacements of the contact, mm."""
-        prescribed = np.zeros(self.face.mesh.points.shape)
-        prescribed[self.face.contact] = displacement
-        fixed = np.zeros(prescribed.shape, dtype=bool)
-        fixed[self.face.window] = fixed[self.face.contact] = True
-        supports = Supports(fixed=fixed, prescribed=prescribed)
-        after = None if previous is None else previous.newton
-        newton = self.body.search(self.youngs, np.zeros(prescribed.shape), supports, after=after)
+        prescribed = np.full(self.face.mesh.points.shape, np.nan)
+        prescribed[self.face.window], prescribed[self.face.contact] = 0.0, displacement
         start = None if previous is None else previous.result.displacement
-        return SolvedCase(newton, newton.run(start).require())
+        return self.equilibrium(prescribed, start=start, previous=previous)
 
-    def _fields(
-        self, state: SolvedCase, modes: Float[np.ndarray, "c m"]
-    ) -> Float[np.ndarray, "unknowns m3"]:
+    def _fields(self, state: SolvedCase, modes: Modes) -> Fields:
         """Displacements of all nodes by unit modes along each axis, about an equilibrium, mm."""
-        linear, d = state.linearization, self.body.discretisation
-        values = self.body.assembly.tangent(linear.response, self.youngs)
-        prescribed = []
-        for mode in np.kron(modes, np.eye(3)).T:
-            nodal = np.zeros(self.face.mesh.points.shape)
-            nodal[self.face.contact] = mode.reshape(-1, 3)
-            prescribed.append(np.where(linear.fixed, d.extend(nodal).ravel(), 0.0))
-        loads = np.stack([d.pattern.product(values, field) for field in prescribed], axis=1)
-        loads[linear.fixed] = 0.0
-        return np.stack(prescribed, axis=1) - np.asarray(linear.solve(np.asfortranarray(loads)))
+        unit = np.kron(modes, np.eye(3)).T
+        prescribed = np.zeros((len(unit), *self.face.mesh.points.shape))
+        prescribed[:, self.face.contact] = unit.reshape(len(unit), -1, 3)
+        return self.fields(state, prescribed)
 
-    def _on_face(self, fields: Float[np.ndarray, "unknowns m3"]) -> Float[np.ndarray, "k3 m3"]:
+    def _on_face(self, fields: Fields) -> Float[np.ndarray, "k3 m3"]:
         nodal = fields.reshape(self.body.n_nodes, 3, -1)
         return nodal[self.face.nodes].reshape(3 * len(self.face.nodes), -1)
 
-    def _forces(self, state: SolvedCase) -> Float[np.ndarray, "k 3"]:
+    def _forces(self, state: SolvedCase) -> Vectors:
         """Reactions at the nodes of the contact, N; those of midside nodes go to both ends."""
-        response = state.result.response
-        assert response is not None
-        return self._gather(self.body.assembly.internal_force(response, self.youngs))
+        return self._gather(self.internal_forces(state))
 
-    def _gather(self, forces: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "k 3"]:
+    def _gather(self, forces: Float[np.ndarray, "nodes 3"]) -> Vectors:
         in_contact = np.zeros(self.face.mesh.n_points, dtype=bool)
         in_contact[self.face.contact] = True
-        nodal = at_vertices(self.body, forces, in_contact)
+        nodal = self.at_vertices(forces, in_contact)
         return np.where(in_contact[:, None], nodal, 0.0)[self.face.nodes]
 
     def _errors(
-        self,
-        state: SolvedCase,
-        modes: Float[np.ndarray, "c m"],
-        amplitudes: Float[np.ndarray, "m3 q"],
+        self, state: SolvedCase, modes: Modes, amplitudes: Float[np.ndarray, "m3 q"]
     ) -> GelErrors:
         """Errors of forces and displacements by errors of the amplitudes of the modes."""
         fields = self._fields(state, modes) @ amplitudes
-        values = self.body.assembly.tangent(state.linearization.response, self.youngs)
-        product = self.body.discretisation.pattern.product
-        forces = [self._gather(product(values, field).reshape(-1, 3)) for field in fields.T.copy()]
+        changes = state.newton.tangent_times(state.result, fields)
+        forces = [self._gather(change.reshape(-1, 3)) for change in changes.T]
         moved = self._on_face(fields).T.reshape(len(forces), -1, 3)
         return GelErrors(np.stack(forces), moved)
 
-    def _edge_errors(self, forces: Float[np.ndarray, "k 3"]) -> GelErrors:
+    def _edge_errors(self, forces: Vectors) -> GelErrors:
         """Errors of the forces near the edge, smooth along it."""
         along = np.zeros((self._modes[1].shape[1], len(forces)))
         along[:, self.face.touching] = self._modes[1].T
@@ -207,7 +184,3 @@ def _edge_length(distance: EdgeDistance, gel: GelLayer) -> float:
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     area = float((distance(points) >= 0.0).sum()) * _SAMPLE_MM**2
     return max(_EDGE_LENGTH * float(np.sqrt(area)), _SHORTEST_MM) if area > 0.0 else 0.0
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -16,10 +16,14 @@ from scipy.sparse.csgraph import laplacian
 _NULL_EIGENVALUE = 1e-9  # of the roughness, relative to the largest
 _LOG10_WEIGHTS = np.arange(-14.0, 4.0, 0.5)  # relative to the largest eigenvalue
 
+Basis = tuple[Float[np.ndarray, "f u"], Float[np.ndarray, "f r"]]
+Target = Float[np.ndarray, " d"]
+Forces = Float[np.ndarray, " f"]
+
 
 def traction_basis(
     edges: Int[np.ndarray, "e 2"], areas: Float[np.ndarray, " n"], axes: Sequence[int] = (0, 1, 2)
-) -> tuple[Float[np.ndarray, "f u"], Float[np.ndarray, "f r"]]:
+) -> Basis:
     """Return nodal forces of uniform tractions, and of rough tractions of unit prior variance.
 
     Each part of the contact and axis has a uniform traction. Roughness is the sum of squared
@@ -45,10 +49,7 @@ class SmoothFit:
     """
 
     def __init__(
-        self,
-        compliance: Float[np.ndarray, "d f"],
-        plane: Float[np.ndarray, "d p"],
-        basis: tuple[Float[np.ndarray, "f u"], Float[np.ndarray, "f r"]],
+        self, compliance: Float[np.ndarray, "d f"], plane: Float[np.ndarray, "d p"], basis: Basis
     ) -> None:
         self.basis, self._n_plane = basis, plane.shape[1]
         self._free = np.hstack([compliance @ basis[0], plane])
@@ -61,25 +62,33 @@ class SmoothFit:
         self._variance = 1.0
 
     def fit(
-        self, target: Float[np.ndarray, " d"], noise_mm: float
-    ) -> tuple[Float[np.ndarray, " f"], Float[np.ndarray, "3 3"], float]:
-        """Return the forces for displacements; see `fit_smooth_forces`."""
-        residual = target - self._axes @ (self._axes.T @ target)
-        modes = self._vectors.T @ (self._projected.T @ residual)
+        self, target: Target, noise_mm: float
+    ) -> tuple[Forces, Float[np.ndarray, "3 3"], float]:
+        """Fit smooth forces to displacements.
+
+        Returns:
+            Nodal forces, N; covariance of their sum, N^2; estimated standard deviation of the
+            displacements, at least `noise_mm`.
+        """
+        residual, modes = self._project(target)
         count, square = len(target) - self._free.shape[1], float(residual @ residual)
         weight, variance = _estimate_weight(self._values, modes, square, count, noise_mm)
         self._weight, self._variance = weight, variance
         return self.refit(target), variance * self._covariance(weight), float(np.sqrt(variance))
 
-    def refit(self, target: Float[np.ndarray, " d"]) -> Float[np.ndarray, " f"]:
+    def refit(self, target: Target) -> Forces:
         """Return the forces for displacements with the weight of the last `fit`: a linear map."""
-        residual = target - self._axes @ (self._axes.T @ target)
-        modes = self._vectors.T @ (self._projected.T @ residual)
+        _, modes = self._project(target)
         amplitudes = self._vectors @ (modes / (self._values + self._weight))
         left = target - self._rough @ amplitudes
         uniform = self._inverse @ (self._axes.T @ left)
         forces = self.basis[1] @ amplitudes + self.basis[0] @ uniform[: self.basis[0].shape[1]]
         return np.asarray(forces)
+
+    def _project(self, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements without the free modes, and their products with the principal axes."""
+        residual = target - self._axes @ (self._axes.T @ target)
+        return residual, self._vectors.T @ (self._projected.T @ residual)
 
     def errors(self) -> Float[np.ndarray, "f m"]:
         """Return independent errors of unit deviation of the forces of the last `fit`."""
@@ -101,22 +110,6 @@ class SmoothFit:
         free = np.hstack([uniform, np.zeros((3, self._n_plane))]) @ self._inverse
         along = (rough - free @ (self._axes.T @ self._rough)) @ self._vectors
         return free @ free.T + (along / (self._values + weight)) @ along.T
-
-
-def fit_smooth_forces(
-    compliance: Float[np.ndarray, "d f"],
-    plane: Float[np.ndarray, "d p"],
-    target: Float[np.ndarray, " d"],
-    basis: tuple[Float[np.ndarray, "f u"], Float[np.ndarray, "f r"]],
-    noise_mm: float,
-) -> tuple[Float[np.ndarray, " f"], Float[np.ndarray, "3 3"], float]:
-    """Fit smooth forces, with a `traction_basis`, to displacements known up to modes `plane`.
-
-    Returns:
-        Nodal forces, N; covariance of their sum, N^2; estimated standard deviation of the
-        displacements, at least `noise_mm`.
-    """
-    return SmoothFit(compliance, plane, basis).fit(target, noise_mm)
 
 
 def _estimate_weight(

@@ -90,15 +90,9 @@ class ContactInterval:
 
 def reduced(measurement: Measurement) -> Measurement:
     """Return a measurement with its frame, depth and slope only."""
+    depth_mm, max_slope = measurement.depth_mm, measurement.max_slope
     no_markers, no_nodes = np.zeros((0, 2)), np.zeros(0, dtype=bool)
-    return replace(
-        measurement,
-        height=None,
-        displacement=None,
-        markers_px=no_markers,
-        in_contact=no_nodes,
-        view=None,
-    )
+    return Measurement(measurement.frame, no_markers, no_nodes, None, depth_mm, max_slope)
 
 
 class ContactDetector:

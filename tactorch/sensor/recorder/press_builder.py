@@ -47,13 +47,9 @@ class Fixture(Options):
         """Return the fields of a `Press` along `direction` that support the object."""
         opposite = self.held_side == "opposite"
         nodes = opposite_nodes(mesh, direction) if opposite else face_nodes(mesh, self.held_side)
-        if self.held_by == "fixed":
-            fixed = np.zeros(mesh.points.shape, dtype=bool)
-            fixed[nodes] = True
-            return {"fixed": fixed}
-        springs = np.zeros(mesh.points.shape)
-        springs[nodes] = self.spring_n_per_mm
-        return {"springs": springs}
+        held = np.zeros(mesh.points.shape, dtype=bool)
+        held[nodes] = True
+        return {self.held_by: held if self.held_by == "fixed" else held * self.spring_n_per_mm}
 
 
 def opposite_nodes(mesh: TetMesh, direction: Float[np.ndarray, "3"]) -> Int[np.ndarray, " k"]:
