@@ -10,7 +10,7 @@ from tactorch.errors import ConfigError
 from tactorch.inverse import Reconstruction
 from tactorch.text import one_line
 from tactorch.viz.figure import MODULUS_LABEL, new_grid
-from tactorch.viz.slicing import AXES, IN_PLANE, colour_scale, slices_at
+from tactorch.viz.slicing import colour_scale, slices_at
 
 _INCHES = 2.3
 _PIXELS = 90
@@ -40,10 +40,7 @@ def comparison_figure(
         center = np.mean(run.mesh.bounds, axis=0)
         for axes, piece in zip(row, slices_at(run.mesh, center, _PIXELS), strict=True):
             piece.draw(axes, run.youngs, cmap=cmap, norm=norm)
-            across, up = IN_PLANE[piece.axis]
-            axes.set_xlabel(f"{AXES[across]} (mm)", fontsize=7)
-            axes.set_ylabel(f"{AXES[up]} (mm)", fontsize=7)
-            axes.tick_params(labelsize=6)
+            piece.label(axes, top=False, fontsize=7)
         row[1].set_title(one_line(name, _MAX_NAME), fontsize=8)
         if not common:
             figure.colorbar(ScalarMappable(norm, cmap), ax=row, label=MODULUS_LABEL, shrink=0.9)
