@@ -64,16 +64,8 @@ def without_progress() -> Iterator[None]:
 @contextmanager
 def noted(text: str) -> Iterator[None]:
     """Show text as the state of the computation that runs, in whatever thread it is."""
-    computation = _running[-1] if _running else None
-    if computation is None:
+    with _inside(_running[-1] if _running else None, text):
         yield
-        return
-    before = computation.state
-    computation.update(f"{before}, {text}" if before else text)
-    try:
-        yield
-    finally:
-        computation.update(before)
 
 
 class _Computation:

@@ -30,16 +30,10 @@ _NUMBERS = {
 
 @dataclass(frozen=True)
 class Job:
-    """A job of a sweep.
+    """A job of a sweep."""
 
-    Attributes:
-        folder: Folder of its results.
-        settings: Values of the settings that differ between jobs.
-        failed: Whether it ended with an error.
-    """
-
-    folder: Path
-    settings: Mapping[str, str]
+    folder: Path  # of its results
+    settings: Mapping[str, str]  # values of those that differ between jobs
     failed: bool
 
     @property

@@ -1,7 +1,7 @@
 """Content of the page about each run: figures, finding, limitations and tables."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 import yaml
 from jaxtyping import Bool, Float
 
+from tactorch.config.values import leaves
 from tactorch.inverse import Lump, Reconstruction
 from tactorch.inverse.result.text import (
     Fact,
@@ -368,7 +369,7 @@ def _compare(caption: str, columns: Mapping[str, Mapping[str, Any]]) -> Table:
 
 def difference_table(runs: Sequence[Run]) -> Table:
     """Return the settings in which runs differ; without rows if all are the same."""
-    settings = {run.name: dict(_flatten(_compared_settings(run))) for run in runs}
+    settings = {run.name: dict(leaves(_compared_settings(run))) for run in runs}
     table = _compare("Settings in which the runs differ", settings)
     return replace(table, rows=[row for row in table.rows if len(set(row[1:])) > 1])
 
@@ -379,14 +380,6 @@ def _compared_settings(run: Run) -> dict[str, Any]:
     settings.pop("optimizer", None)  # also under its own name
     others = {k: config[k] for k in ("start_mpa", "optimizer", "material") if k in config}
     return {"recording": {"file": run.summary.get("recording")}} | settings | others
-
-
-def _flatten(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flatten(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", str(value)
 
 
 def _to_yaml(values: Any) -> str:

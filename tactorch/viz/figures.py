@@ -43,9 +43,8 @@ def make_figure(thing: object, **options: Any) -> Figure:
     raise TypeError(f"{type(thing).__name__} has no figure.")
 
 
-@make_figure.register(TetMesh)
-def _(mesh: TetMesh, **options: Any) -> Figure:
-    return surface_figure(mesh, **options)
+make_figure.register(TetMesh, surface_figure)
+make_figure.register(Reconstruction, reconstruction_figure)
 
 
 @make_figure.register(Recording)
@@ -63,11 +62,6 @@ def _(phantom: Phantom, *, point_mm: Float[np.ndarray, "3"] | None = None) -> Fi
         bounds = np.array(shapes[0].bounds()) if shapes else np.array([low, high])
         point_mm = bounds.mean(axis=0)
     return field_figure(phantom.youngs_at, (low, high), point_mm, phantom.body.contains)
-
-
-@make_figure.register(Reconstruction)
-def _(result: Reconstruction, **options: Any) -> Figure:
-    return reconstruction_figure(result, **options)
 
 
 @make_figure.register(ShapeReconstruction)
