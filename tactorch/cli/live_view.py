@@ -174,7 +174,7 @@ class Screen(Observer):
 def _report(update: Update, folder: Path, name: str) -> RunReport:
     """Return the result for the viewer; the truth is not shown."""
     recording = replace(update.recording, truth=None, reference=None, check_units=False)
-    return RunReport(Run(folder, name, update.result, recording, "", {}, "", ""))
+    return RunReport(Run(folder, name, update.result, recording))
 
 
 def _next_press(update: Update | None) -> Patch | None:

@@ -114,8 +114,8 @@ def _run_data(report: RunReport) -> dict[str, Any]:
         truth = recording.truth
         departure = None if truth is None else departure_from_background(mesh, truth)
         if departure is not None:
-            inclusion = _boundary(mesh, departure > OUTLINE_LEVEL)
-            data["trueInclusion"] = indices(inclusion, mesh.n_points)
+            boundary = _boundary(mesh, departure > OUTLINE_LEVEL)
+            data["trueInclusion"] = indices(boundary, mesh.n_points)
         forces = total_forces(recording.presses)
         data["contact"] = [
             {"triangles": indices(p.triangles, mesh.n_points), "direction": p.direction.tolist()}

@@ -80,9 +80,8 @@ def report_of(
         options: Options of `write_report`.
     """
     missing = "" if recording is not None else "no recording was given"
-    run = Run(
-        Path(path).parent, Path(path).stem, result, recording, missing, {}, result.summary(), "",
-    )  # fmt: skip
+    place, text = Path(path), result.summary()
+    run = Run(place.parent, place.stem, result, recording, missing, text=text)
     return write_report([run], path, **options)
 
 

@@ -12,11 +12,13 @@
 import base64
 import html
 import io
+from collections.abc import Callable
 from functools import singledispatch
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 
 from tactorch.display import Displayed
@@ -24,13 +26,18 @@ from tactorch.inverse import Reconstruction, ShapeReconstruction
 from tactorch.mesh import TetMesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import Recording
-from tactorch.viz.field import field_figure
-from tactorch.viz.palpation import palpation_figure
+from tactorch.viz.figure import MODULUS_LABEL, new_grid
+from tactorch.viz.presses import palpation_figure, presses_figure
 from tactorch.viz.reconstruction import reconstruction_figure
-from tactorch.viz.session import presses_figure
+from tactorch.viz.slicing import Plane, colour_scale
 from tactorch.viz.surface import surface_figure
 
 _DPI = 80  # of pictures in notebooks
+_PANEL_INCHES = 3.1
+_PIXELS = 120  # along the longest side
+
+Values = Callable[[Float[np.ndarray, "k 3"]], Float[np.ndarray, " k"]]
+Inside = Callable[[Float[np.ndarray, "k 3"]], Bool[np.ndarray, " k"]]
 
 
 @singledispatch
@@ -61,7 +68,7 @@ def _(phantom: Phantom, *, point_mm: Float[np.ndarray, "3"] | None = None) -> Fi
         shapes = [shape for shape, _ in phantom.inclusions]
         bounds = np.array(shapes[0].bounds()) if shapes else np.array([low, high])
         point_mm = bounds.mean(axis=0)
-    return field_figure(phantom.youngs_at, (low, high), point_mm, phantom.body.contains)
+    return _field_figure(phantom.youngs_at, (low, high), point_mm, phantom.body.contains)
 
 
 @make_figure.register(ShapeReconstruction)
@@ -70,7 +77,38 @@ def _(shapes: ShapeReconstruction, *, point_mm: Float[np.ndarray, "3"] | None = 
     if point_mm is None:
         found = shapes.inclusions
         point_mm = np.array(found[0].shape.center_mm) if found else 0.5 * (low + high)
-    return field_figure(shapes.youngs_at, (low, high), point_mm)
+    return _field_figure(shapes.youngs_at, (low, high), point_mm)
+
+
+def _field_figure(
+    youngs_at: Values,
+    bounds_mm: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]],
+    point_mm: Float[np.ndarray, "3"],
+    inside: Inside | None = None,
+) -> Figure:
+    """Return a figure of slices across x, y and z through a point.
+
+    Args:
+        youngs_at: Young's modulus at points (mm), MPa.
+        bounds_mm: Lowest and highest corner of the body's bounding box.
+        point_mm: Point that the slices have in common.
+        inside: Whether points (mm) are inside the body; by default all are.
+    """
+    bounds = np.stack(bounds_mm)
+    planes = [Plane.through(bounds, axis, point_mm[axis], _PIXELS) for axis in range(3)]
+    fields = []
+    for plane in planes:
+        points = plane.points.reshape(-1, 3)
+        values = np.ma.masked_array(youngs_at(points), inside is not None and ~inside(points))
+        fields.append(values.reshape(plane.points.shape[:2]))
+    known = np.concatenate([field.compressed() for field in fields])
+    norm = colour_scale({"reconstruction": known}, "linear", None)
+    figure, grid = new_grid(3 * _PANEL_INCHES + 1.0, _PANEL_INCHES, 1, 3)
+    for axes, plane, field in zip(grid[0], planes, fields, strict=True):
+        plane.show(axes, field, cmap="viridis", norm=norm)
+        plane.label(axes)
+    figure.colorbar(ScalarMappable(norm, "viridis"), ax=grid, label=MODULUS_LABEL, shrink=0.8)
+    return figure
 
 
 def make_html(thing: Displayed) -> str:

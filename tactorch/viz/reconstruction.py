@@ -1,6 +1,6 @@
-"""Slices of a result: its field, the element map beside it, and the truth."""
+"""Slices of a result, beside its element map and the truth, and of several results."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,14 +8,17 @@ from jaxtyping import Float
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 
+from tactorch.errors import ConfigError
 from tactorch.inverse import Reconstruction
+from tactorch.text import one_line
 from tactorch.viz.contact import CONTACT_LINE, contact_patches, draw_cut
 from tactorch.viz.figure import MODULUS_LABEL, new_grid
 from tactorch.viz.lump_surfaces import lump_surfaces
 from tactorch.viz.slicing import Slice, check_values, colour_scale, slices_at
 
 _PANEL_INCHES = 2.3
-_PIXELS = 160
+_PIXELS, _COMPARED_PIXELS = 160, 90
+_MAX_NAME = 90
 # Outlines of an inclusion, and of what is inside it with 95 % and 5 %.
 _BEST: dict[str, Any] = {"colors": "white", "linewidths": 1.3, "linestyles": "-", "zorder": 3}
 _RANGE = {**_BEST, "linewidths": 0.8, "linestyles": ":"}
@@ -92,3 +95,35 @@ def _field(piece: Slice, result: Reconstruction) -> Float[np.ma.MaskedArray, "r 
         return piece.values(result.youngs)
     values = result.youngs_at(piece.points.reshape(-1, 3)).reshape(piece.elements.shape)
     return np.ma.masked_where(piece.elements < 0, values)
+
+
+def comparison_figure(
+    runs: Mapping[str, Reconstruction], *, common: bool = True, cmap: str = "viridis"
+) -> Figure:
+    """Return a figure with three slices of each map, one run in each row.
+
+    Args:
+        runs: Results of inversions by name.
+        common: Whether all runs have one colour scale, rather than one each.
+        cmap: Name of a matplotlib colour map.
+
+    Raises:
+        ConfigError: There is no run.
+    """
+    if not runs:
+        raise ConfigError("comparison_figure: no run given; pass at least one.")
+    everything = np.concatenate([run.youngs for run in runs.values()])
+    figure, grid = new_grid(3 * _PANEL_INCHES + 1.6, _PANEL_INCHES * len(runs) + 0.4, len(runs), 3)
+    for row, (name, run) in zip(grid, runs.items(), strict=True):
+        scaled = everything if common else run.youngs
+        norm = colour_scale({"reconstruction": scaled}, "linear", None)
+        center = np.mean(run.mesh.bounds, axis=0)
+        for axes, piece in zip(row, slices_at(run.mesh, center, _COMPARED_PIXELS), strict=True):
+            piece.draw(axes, run.youngs, cmap=cmap, norm=norm)
+            piece.label(axes, top=False, fontsize=7)
+        row[1].set_title(one_line(name, _MAX_NAME), fontsize=8)
+        if not common:
+            figure.colorbar(ScalarMappable(norm, cmap), ax=row, label=MODULUS_LABEL, shrink=0.9)
+    if common:
+        figure.colorbar(ScalarMappable(norm, cmap), ax=grid, label=MODULUS_LABEL, shrink=0.8)
+    return figure
