@@ -264,8 +264,8 @@ def _rms(values: Float[np.ndarray, "*n"]) -> float:
     return float(np.sqrt(np.mean(known**2))) if len(known) else math.nan
 
 
-def _number(value: float, digits: int = 3) -> str:
-    return "–" if math.isnan(value) else f"{value:.{digits}g}"
+def _number(value: float | None, digits: int = 3) -> str:
+    return "–" if value is None or math.isnan(value) else f"{value:.{digits}g}"
 
 
 def _prior(run: Run) -> Any:
@@ -293,7 +293,9 @@ def score_table(runs: Sequence[Run]) -> Table:
             columns[name] = _scores(run, run.recording.reference)
     titles = _SCORES | _COST
     names = [name for name in titles if any(name in column for column in columns.values())]
-    rows = [[titles[name][0], *(_cell(c.get(name)) for c in columns.values())] for name in names]
+    rows = [
+        [titles[name][0], *(_number(c.get(name), 4) for c in columns.values())] for name in names
+    ]
     caption = "Scores against the truth" if set(names) & set(_SCORES) else "Fit and cost"
     best = {row: _best(titles[name][1], name, columns) for row, name in enumerate(names)}
     if _distinct(runs, "truth") > 1:
@@ -331,10 +333,6 @@ def _best(rule: str, name: str, columns: Mapping[str, _Column]) -> set[int]:
     # Values that the table shows alike are equally good.
     best = np.flatnonzero(cost <= minimum + 1e-4 * max(abs(minimum), 1e-4))
     return {int(column) + 1 for column in best}
-
-
-def _cell(value: float | None) -> str:
-    return "–" if value is None or math.isnan(value) else f"{value:.4g}"
 
 
 def history_table(run: Run) -> Table:

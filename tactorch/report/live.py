@@ -37,18 +37,12 @@ class LivePage:
 
     @cached_property
     def _data(self) -> dict[str, Any]:
-        report, place = self.report, self.next_press
+        report, place, following = self.report, self.next_press, None
+        if place is not None:
+            center, inward = place.center.tolist(), place.inward.tolist()
+            following = {"center": center, "inward": inward, "radius": float(place.radius_mm)}
         data = figure_data([] if report is None else [report], "viridis")
-        for run in data["runs"]:
-            run["next"] = (
-                None
-                if place is None
-                else {
-                    "center": place.center.tolist(),
-                    "inward": place.inward.tolist(),
-                    "radius": float(place.radius_mm),
-                }
-            )
+        data["runs"] = [run | {"next": following} for run in data["runs"]]
         mesh = "" if report is None else report.run.result.mesh.content_hash()[:16]
         return data | {"version": self.version, "mesh": mesh, "script": SCRIPT, "ended": self.ended}
 
@@ -62,10 +56,5 @@ class LivePage:
         """Return what replaces the content of an open page, as JSON values."""
         runs = [{k: v for k, v in run.items() if k not in _MESH} for run in self._data["runs"]]
         update = {name: self._data[name] for name in ("version", "mesh", "ended", "limits")}
-        rows = [list(row) for row in self.rows]
-        return update | {
-            "texts": dict(self.texts),
-            "notes": list(self.notes),
-            "rows": rows,
-            "run": runs[0] if runs else None,
-        }
+        content = {"texts": self.texts, "notes": self.notes, "rows": self.rows}
+        return update | content | {"run": runs[0] if runs else None}

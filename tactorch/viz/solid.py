@@ -138,10 +138,19 @@ def _has_windows() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-@singledispatch
-def draw(thing: object, plotter: "pyvista.Plotter") -> None:
-    """Add an object to a plotter."""
-    raise TypeError(f"{type(thing).__name__} has no view in 3-D.")
+def _draw_half(thing: object, plotter: "pyvista.Plotter") -> None:
+    """Draw the modulus of the half of a body behind a cut."""
+    grid = to_pyvista(thing)
+    outline = grid.extract_surface(algorithm="dataset_surface")
+    plotter.add_mesh(outline, color=_BODY, opacity=0.15)
+    half = grid.clip("y", crinkle=True)
+    plotter.add_mesh(
+        half, scalars=_YOUNGS, lighting=False, scalar_bar_args={"title": MODULUS_LABEL}
+    )
+
+
+#: Adds an object to a plotter.
+draw = singledispatch(_draw_half)
 
 
 @draw.register(TetMesh)
@@ -178,18 +187,6 @@ def _(result: Reconstruction, plotter: "pyvista.Plotter") -> None:
     surface = _surface(result.mesh.points, result.mesh.surface.triangles)
     plotter.add_mesh(surface, color=_BODY, opacity=0.15)
     _draw_lumps(plotter, to_pyvista(result.shapes), result.background_mpa)
-
-
-@draw.register(Phantom)
-def _draw_half(thing: Reconstruction | Phantom, plotter: "pyvista.Plotter") -> None:
-    """Draw the modulus of the half of a body behind a cut."""
-    grid = to_pyvista(thing)
-    outline = grid.extract_surface(algorithm="dataset_surface")
-    plotter.add_mesh(outline, color=_BODY, opacity=0.15)
-    half = grid.clip("y", crinkle=True)
-    plotter.add_mesh(
-        half, scalars=_YOUNGS, lighting=False, scalar_bar_args={"title": MODULUS_LABEL}
-    )
 
 
 @draw.register(ShapeReconstruction)
