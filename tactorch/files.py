@@ -8,7 +8,7 @@ import re
 import shutil
 import sys
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from hashlib import sha256
 from pathlib import Path
@@ -87,18 +87,18 @@ def _strict(value: Any) -> Any:
 
 def require_file(path: str | Path, what: str) -> Path:
     """Return `path` as a `Path`, or raise `FileError` naming it and `what` it should be."""
-    source = Path(path)
-    if not source.is_file():
-        raise FileError(f"{what} not found: '{source}' is not a file.{_neighbours(source)}")
-    return source
+    return _require(Path(path), what, "file", Path.is_file)
 
 
 def require_folder(path: str | Path, what: str) -> Path:
     """Return `path` as a `Path`, or raise `FileError` naming it and `what` it should be."""
-    source = Path(path)
-    if not source.is_dir():
-        raise FileError(f"{what} not found: '{source}' is not a folder.{_neighbours(source)}")
-    return source
+    return _require(Path(path), what, "folder", Path.is_dir)
+
+
+def _require(path: Path, what: str, kind: str, is_kind: Callable[[Path], bool]) -> Path:
+    if not is_kind(path):
+        raise FileError(f"{what} not found: '{path}' is not a {kind}.{_neighbours(path)}")
+    return path
 
 
 def checksum(path: str | Path) -> str:

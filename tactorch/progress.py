@@ -64,16 +64,8 @@ def without_progress() -> Iterator[None]:
 @contextmanager
 def noted(text: str) -> Iterator[None]:
     """Show text as the state of the computation that runs, in whatever thread it is."""
-    computation = _running[-1] if _running else None
-    if computation is None:
+    with _inside(_running[-1] if _running else None, text):
         yield
-        return
-    before = computation.state
-    computation.update(f"{before}, {text}" if before else text)
-    try:
-        yield
-    finally:
-        computation.update(before)
 
 
 class _Computation:
@@ -125,7 +117,7 @@ def _outermost(label: str, show: bool | None) -> Iterator[Update]:
 def _new_line(forced: bool) -> _Line | None:
     if in_notebook():
         return _NotebookLine()
-    if forced or _is_terminal():
+    if forced or is_terminal(sys.stderr):
         return _TerminalLine()
     # Messages in the log tell as much.
     return None if _log.isEnabledFor(logging.INFO) else _PlainLine()
@@ -138,9 +130,10 @@ def in_notebook() -> bool:
     return getattr(shell, "kernel", None) is not None
 
 
-def _is_terminal() -> bool:
+def is_terminal(stream: Any) -> bool:
+    """Return whether a stream is a terminal."""
     try:
-        return sys.stderr.isatty()
+        return bool(stream.isatty())
     except (AttributeError, ValueError):  # none at all, or closed
         return False
 

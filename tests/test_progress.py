@@ -126,7 +126,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 def test_a_script_without_a_terminal_gets_a_line_now_and_then(
     clock: Clock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(progress, "_is_terminal", lambda: False)
+    monkeypatch.setattr(progress, "is_terminal", lambda _: False)
     monkeypatch.setattr(logging.getLogger("tactorch"), "level", logging.WARNING)
     logging.getLogger("tactorch").manager._clear_cache()  # type: ignore[attr-defined]
     with progress_line("inversion") as update:
@@ -142,7 +142,7 @@ def test_a_script_without_a_terminal_gets_a_line_now_and_then(
 def test_where_messages_are_logged_there_are_no_further_lines(
     clock: Clock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(progress, "_is_terminal", lambda: False)
+    monkeypatch.setattr(progress, "is_terminal", lambda _: False)
     monkeypatch.setattr(progress._log, "isEnabledFor", lambda level: True)
     with progress_line("inversion") as update:
         clock.now += 60.0

@@ -19,7 +19,7 @@ from tactorch.mesh import Box, Cylinder, Sphere, box_mesh, face_nodes
 from tactorch.phantoms import Phantom
 from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Recording
 from tactorch.viz import comparison_figure, convergence_figure, save_figure
-from tactorch.viz.surface import surface_figure
+from tactorch.viz.figures import surface_figure
 
 OUT = Path(__file__).parent / "gallery"
 

@@ -104,11 +104,10 @@ def _dispatch(words: list[str]) -> "App | None":
             return None
         if plain is None:
             return App(command, settings)
-        status = plain.run(settings)
+        if status := plain.run(settings):
+            sys.exit(status)
     except TactorchError as error:
         fail(str(error), command)
-    if status:
-        sys.exit(status)
     return None
 
 

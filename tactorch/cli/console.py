@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
 
 from tactorch.errors import FileError
-from tactorch.progress import without_progress
+from tactorch.progress import is_terminal, without_progress
 from tactorch.text import printable
 
 #: Exit statuses other than 0: of wrong input, and of Ctrl-C.
@@ -63,11 +63,7 @@ class Table:
 
 def is_rich(stream: Any = None) -> bool:
     """Return whether a stream (by default standard output) is a terminal that can be drawn on."""
-    try:
-        is_terminal = (sys.stdout if stream is None else stream).isatty()
-    except (AttributeError, ValueError):  # none at all, or closed
-        return False
-    return is_terminal and os.environ.get("TERM", "") not in _NO_CONTROL
+    return is_terminal(stream or sys.stdout) and os.environ.get("TERM", "") not in _NO_CONTROL
 
 
 def show(table: Table) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tactorch.cli.console import log, log_text
-from tactorch.cli.outputs import fields_of, score_table
+from tactorch.cli.outputs import score_table
 from tactorch.cli.settings import CommandOptions, UnitCheck
 from tactorch.config import option
 from tactorch.errors import FileError, RecordingError
@@ -44,7 +44,7 @@ def run(options: EvaluateOptions) -> dict[str, float]:
             f"recording '{source}' and reconstruction '{path}' are on different meshes; give the "
             "recording that was inverted."
         )
-    values, table = score_table(recording, fields_of(reconstruction))
+    values, table = score_table(recording, reconstruction)
     log_text(f"reconstruction: {reconstruction.name}", table)
     for reason in reconstruction.reasons:
         log.warning("Do not trust this result: %s", reason)

@@ -26,10 +26,9 @@ from tactorch.cli.model_outputs import (
     map_figures,
     predict,
 )
-from tactorch.cli.networks import TrainOptions, check_data
 from tactorch.cli.resume import saved_options
 from tactorch.cli.settings import CommandOptions, run_folder
-from tactorch.cli.train import split_folder
+from tactorch.cli.train import TrainOptions, check_data, split_folder
 from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.files import require_folder, write_json

@@ -75,13 +75,11 @@ def run(options: GenerateOptions) -> SampleSet:
     if options.card:
         from tactorch.generation.card import PICTURE, TOUCH_PICTURE, card_samples, write_card
         from tactorch.viz import save_figure
-        from tactorch.viz.learning import samples_figure
+        from tactorch.viz.learning import samples_figure, touch_figure
 
         shown = card_samples(samples)
         save_figure(samples_figure(shown), samples.folder / PICTURE)
         if recipe.has_touch:
-            from tactorch.viz.touch import touch_figure
-
             save_figure(touch_figure(shown), samples.folder / TOUCH_PICTURE)
         log.info("data card: %s", write_card(samples))
     log.info("%d samples: %s", len(samples), out)

@@ -24,7 +24,7 @@ from typing import Any, Literal
 
 from tactorch.cli.console import log, log_text
 from tactorch.cli.live_view import Screen, finding_text
-from tactorch.cli.outputs import fields_of, score_table
+from tactorch.cli.outputs import score_table
 from tactorch.cli.robot import RobotOptions, make_session
 from tactorch.cli.settings import CommandOptions, UnitCheck, run_folder, select
 from tactorch.config import option
@@ -142,7 +142,7 @@ def _report(result: LoopResult) -> LoopResult:
     if update is not None:
         log.info("%s", finding_text(update))
         if update.recording.truth is not None:
-            log_text(score_table(update.recording, fields_of(update.result))[1])
+            log_text(score_table(update.recording, update.result)[1])
     log.info("results: %s", run_folder() / PAGE)
     return result
 

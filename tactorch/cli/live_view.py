@@ -16,8 +16,8 @@ from tactorch.inverse.result.text import describe, headline, summarize_finding, 
 from tactorch.progress import without_progress
 from tactorch.report import Run
 from tactorch.report.content import RunReport
-from tactorch.report.live import PAGE, LivePage, NextPress
-from tactorch.sampling import LoopResult, Observer, Update
+from tactorch.report.live import PAGE, LivePage
+from tactorch.sampling import LoopResult, Observer, Patch, Update
 
 if TYPE_CHECKING:
     from rich.live import Live
@@ -87,52 +87,44 @@ class Screen(Observer):
     def updated(self, update: Update) -> None:
         """See `Observer.updated`."""
         self._entries.append(update.entry)
-        self._update = update
-        self._finding = finding_text(update)
         self._status = f"{update.entry['press']} presses; choosing the next place"
-        number, seconds, chi2, finding = _cells(update.entry)[:4]
-        log.info("press %s: %s, chi2 %s, %s", number, seconds, chi2, finding)
-        self._refresh()
-        self._draw(update)
-        self._show()
+        log.info("press %s: %s, chi2 %s, %s", *_cells(update.entry)[:4])
+        self._present(update)
 
     def suggested(self, update: Update) -> None:
         """See `Observer.suggested`."""
         self._status = f"{update.entry['press']} presses; waiting for the next"
-        self._update = update
         log.info("  deviation %s; next press %s", *_cells(update.entry)[4:])
-        if update.suggestion is not None and update.suggestion.patch is not None:
-            self._draw(update)
-        self._show()
+        self._present(update, draw=_next_press(update) is not None)
 
     def found(self, update: Update) -> None:
         """See `Observer.found`."""
-        self._finding, self._update = finding_text(update), update
-        log.info("press %s, shapes: %s", update.entry["press"], self._finding)
-        self._draw(update)
-        self._show()
+        log.info("press %s, shapes: %s", update.entry["press"], finding_text(update))
+        self._present(update)
 
     def ended(self, result: LoopResult) -> None:
         """Show the end; an open page asks for no more."""
         self._status = f"ended: {result.reason}"
         self._show(ended=True)
 
+    def _present(self, update: Update, *, draw: bool = True) -> None:
+        self._update, self._finding = update, finding_text(update)
+        self._refresh()
+        if draw and self._plots:
+            self._draw(update)
+        self._show()
+
     def _draw(self, update: Update) -> None:
-        if not self._plots:
-            return
         from tactorch.viz import save_figure
         from tactorch.viz.slices import live_figure
 
-        patch = None if update.suggestion is None else update.suggestion.patch
         lump = next(iter(update.result.lumps), None)
         figure = live_figure(
             update.recording.mesh,
             update.youngs,
             pressed=np.sum([np.abs(press.forces) for press in update.recording.presses], axis=0),
             inclusion_mm=None if lump is None else lump.inclusion.center_mm,
-            next_mm=None if patch is None else patch.center,
-            inward=None if patch is None else patch.inward,
-            radius_mm=0.0 if patch is None else float(patch.radius_mm),
+            next_press=_next_press(update),
             title=f"Young's modulus after {update.entry['press']} presses",
         )
         save_figure(figure, self._folder / PICTURE, dpi=110)
@@ -142,16 +134,14 @@ class Screen(Observer):
         self._refresh()
         self._version += 1
         rows = [_cells(entry) for entry in reversed(self._entries)]
-        update, place = self._update, None
-        if update is not None and update.suggestion is not None:
-            place = update.suggestion.patch
+        update = self._update
         following = rows[0][-1] if rows and rows[0][-1] != "-" else ""
         LivePage(
             name=self._name,
             version=self._version,
             texts={
                 "status": self._status,
-                "headline": _headline(update),
+                "headline": "No press yet" if update is None else headline(update.result),
                 "finding": self._finding,
                 "next": f"Press next: {following}" if following else "",
             },
@@ -159,7 +149,7 @@ class Screen(Observer):
             rows=rows,
             notes=self._notes[-_NOTES:],
             report=None if update is None else _report(update, self._folder, self._name),
-            next_press=None if place is None else _next_press(place),
+            next_press=_next_press(update),
             ended=ended,
         ).write(self._folder)
 
@@ -181,19 +171,15 @@ class Screen(Observer):
         return table
 
 
-def _headline(update: Update | None) -> str:
-    """Return the finding in one line."""
-    return "No press yet" if update is None else headline(update.result)
-
-
 def _report(update: Update, folder: Path, name: str) -> RunReport:
     """Return the result for the viewer; the truth is not shown."""
     recording = replace(update.recording, truth=None, reference=None, check_units=False)
-    return RunReport(Run(folder, name, update.result, recording, "", {}, "", ""))
+    return RunReport(Run(folder, name, update.result, recording))
 
 
-def _next_press(patch: Any) -> NextPress:
-    return NextPress(patch.center, patch.inward, float(patch.radius_mm))
+def _next_press(update: Update | None) -> Patch | None:
+    """Return the place that was chosen for the next press, if there is one."""
+    return update.suggestion.patch if update and update.suggestion else None
 
 
 def finding_text(update: Update) -> str:

@@ -30,24 +30,23 @@ _RESULTS = (
 
 
 def score_table(
-    recording: Recording, maps: Mapping[str, Float[np.ndarray, " m"]]
+    recording: Recording, result: Reconstruction
 ) -> tuple[dict[str, dict[str, float]], Table]:
-    """Return the scores of maps, and of the reference of the recording, by map and as a table."""
+    """Return the scores of each element's modulus, by name and as a table.
+
+    They are of the result, of its other description and of the reference of the recording.
+    """
     truth = recording.truth
     assert truth is not None
-    compared = dict(maps)
+    maps = {"reconstruction": result.youngs}
+    if result.other is not None:
+        maps[result.other.name] = result.other.youngs
     if recording.reference is not None:
-        compared["reference"] = recording.reference
-    values = {name: scores(recording.mesh, youngs, truth) for name, youngs in compared.items()}
+        maps["reference"] = recording.reference
+    values = {name: scores(recording.mesh, youngs, truth) for name, youngs in maps.items()}
     names = list(next(iter(values.values())))
     rows = [[name, *(f"{column[name]:.4g}" for column in values.values())] for name in names]
     return values, Table(["", *values], rows)
-
-
-def fields_of(result: Reconstruction) -> dict[str, Float[np.ndarray, " m"]]:
-    """Return the moduli of each element of a result, and of its other description, by name."""
-    fields = {"reconstruction": result.youngs}
-    return fields if result.other is None else fields | {result.other.name: result.other.youngs}
 
 
 def remove_results(out: Path, resume: Path | None) -> None:
@@ -97,13 +96,7 @@ def write_outputs(
 
 
 def summarise(recording: Recording, result: Reconstruction, source: str) -> dict[str, Any]:
-    """Return the numbers of a run, with scores where there is a truth.
-
-    Args:
-        recording: The presses.
-        result: Result of their inversion.
-        source: Path of the recording.
-    """
+    """Return the numbers of a run, with scores where there is a truth."""
     summary: dict[str, Any] = {
         "recording": source,
         "description": result.name,
@@ -123,7 +116,7 @@ def summarise(recording: Recording, result: Reconstruction, source: str) -> dict
         summary["evaluations"] = result.history[-1]["evaluations"]
         summary["volume_at_bounds"] = result.volume_at_bounds
     if recording.truth is not None:
-        values, _ = score_table(recording, fields_of(result))
+        values, _ = score_table(recording, result)
         summary |= values.pop("reconstruction") | values
     return summary | {"config": result.config}
 
@@ -138,7 +131,7 @@ def describe_run(recording: Recording, result: Reconstruction) -> list[str | Tab
         f"Description: {result.name}, {result.iterations} {steps} in {result.seconds:.1f} s; "
         f"stopped because: {result.stop_reason}.",
         f"The RMS residual is {np.sqrt(result.chi2):.2f} times the noise{misfit}.",
-        *_describe_regions(region_moduli(recording.mesh, result.youngs)),
+        *_describe_regions(recording.mesh, result.youngs),
         *(_describe_estimate(name, value) for name, value in result.nuisance.items()),
     ]
     if result.other is not None:
@@ -147,7 +140,7 @@ def describe_run(recording: Recording, result: Reconstruction) -> list[str | Tab
             f"{np.sqrt(result.other.chi2):.2f} times the noise."
         )
     if recording.truth is not None:
-        parts += ["", *_describe_truth(recording), score_table(recording, fields_of(result))[1]]
+        parts += ["", *_describe_truth(recording), score_table(recording, result)[1]]
     return parts
 
 
@@ -184,20 +177,19 @@ def region_moduli(mesh: TetMesh, youngs: Float[np.ndarray, " m"]) -> dict[str, d
     moduli = {}
     for number in np.unique(mesh.regions):
         mine = mesh.regions == number
-        order = np.argsort(youngs[mine])
-        below = np.cumsum(mesh.volumes[mine][order])
-        places = np.searchsorted(below, np.array([0.1, 0.5, 0.9]) * below[-1])
-        low, median, high = youngs[mine][order][places].tolist()
+        low, median, high = np.quantile(
+            youngs[mine], (0.1, 0.5, 0.9), method="inverted_cdf", weights=mesh.volumes[mine]
+        ).tolist()
         moduli[str(number)] = {"p10_mpa": low, "median_mpa": median, "p90_mpa": high}
     return moduli
 
 
-def _describe_regions(regions: Mapping[str, Mapping[str, float]]) -> list[str]:
+def _describe_regions(mesh: TetMesh, youngs: Float[np.ndarray, " m"]) -> list[str]:
     """Return the moduli of each region as text; none of a mesh without regions."""
     return [
         f"Region {number}: median {values['median_mpa']:.3g} MPa, {values['p10_mpa']:.3g} to "
         f"{values['p90_mpa']:.3g} MPa in the middle 80 % of its volume."
-        for number, values in regions.items()
+        for number, values in region_moduli(mesh, youngs).items()
     ]
 
 

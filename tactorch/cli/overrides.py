@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactorch.cli.presets import EXPERIMENT, Entry, leaves
+from tactorch.cli.presets import EXPERIMENT, Entry
 from tactorch.cli.schema import Schema
 from tactorch.config.registry import (
     NO_VALUE,
@@ -12,6 +12,7 @@ from tactorch.config.registry import (
     unknown_choice,
     unknown_setting,
 )
+from tactorch.config.values import leaves
 from tactorch.errors import ConfigError
 
 if TYPE_CHECKING:

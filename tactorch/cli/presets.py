@@ -6,12 +6,13 @@ settings: nothing in them reaches Hydra's own settings, by which a file could ru
 
 import importlib.util
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 from tactorch.config.targets import TARGET
+from tactorch.config.values import leaves
 from tactorch.errors import ConfigError, FileError
 
 PACKAGE = "tactorch.conf"
@@ -141,18 +142,6 @@ def _programs(value: Any, is_name: bool = False) -> Iterator[str]:
             yield from _programs(item, is_name)
     elif isinstance(value, str) and (PROGRAM.search(value) or (is_name and _HYDRA.match(value))):
         yield value
-
-
-def leaves(
-    values: Mapping[Any, Any], tables: Collection[str] = (), prefix: str = ""
-) -> Iterator[tuple[str, Any]]:
-    """Yield the settings of a nested table by their full names; `tables` are single settings."""
-    for key, value in values.items():
-        name = f"{prefix}{key}"
-        if isinstance(value, Mapping) and name not in tables:
-            yield from leaves(value, tables, f"{name}.")
-        else:
-            yield name, value
 
 
 def read_yaml(path: Path) -> dict[str, Any]:

@@ -12,8 +12,9 @@ from typing import Any
 
 from tactorch.cli.compose import build_options
 from tactorch.cli.overrides import check_overrides, key_of
-from tactorch.cli.presets import PROGRAM, leaves
+from tactorch.cli.presets import PROGRAM
 from tactorch.cli.schema import Schema, app_name
+from tactorch.config.values import leaves
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import require_file, require_folder
 

@@ -30,16 +30,10 @@ _NUMBERS = {
 
 @dataclass(frozen=True)
 class Job:
-    """A job of a sweep.
+    """A job of a sweep."""
 
-    Attributes:
-        folder: Folder of its results.
-        settings: Values of the settings that differ between jobs.
-        failed: Whether it ended with an error.
-    """
-
-    folder: Path
-    settings: Mapping[str, str]
+    folder: Path  # of its results
+    settings: Mapping[str, str]  # values of those that differ between jobs
     failed: bool
 
     @property
@@ -105,21 +99,17 @@ def make_table(jobs: Sequence[Job]) -> console.Table:
     return console.Table([*keys, "result", *numbers], rows, words=len(keys) + 1)
 
 
-def _format(value: Any, style: str) -> str:
-    if not isinstance(value, int | float):
-        return "-"
-    return format(int(value) if style == "d" else float(value), style)
+def _format(value: int | float | None, style: str) -> str:
+    return "-" if value is None else format(value, style)
 
 
 def _finding(summary: Mapping[str, Any]) -> str:
     """Return the finding in a word or two."""
-    finding = summary.get("finding")
-    if not isinstance(finding, Mapping):
+    if "finding" not in summary:
         return "done"
-    count = len(finding.get("lumps", ()))
-    if finding.get("status") != "found":
-        return str(finding.get("status", "done"))
-    return "1 lump" if count == 1 else f"{count} lumps"
+    status, count = summary["finding"]["status"], len(summary["finding"]["lumps"])
+    found = "1 lump" if count == 1 else f"{count} lumps"
+    return found if status == "found" else str(status)
 
 
 def _maps(jobs: Sequence[Job]) -> "dict[str, Reconstruction]":

@@ -2,7 +2,7 @@
 
 import math
 import types
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin
@@ -141,6 +141,18 @@ def leaf_types(annotation: Any) -> set[Any]:
     if origin is Literal or not arguments:
         return {annotation}
     return set().union(*(leaf_types(argument) for argument in arguments))
+
+
+def leaves(
+    values: Mapping[Any, Any], tables: Collection[str] = (), prefix: str = ""
+) -> Iterator[tuple[str, Any]]:
+    """Yield the settings of a nested table by their full names; `tables` are single settings."""
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping) and name not in tables:
+            yield from leaves(value, tables, f"{name}.")
+        else:
+            yield name, value
 
 
 def _plural(annotation: Any) -> str:

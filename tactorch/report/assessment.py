@@ -5,8 +5,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
-from tactorch.inverse import Point, settings_from
+from tactorch.inverse import settings_from
 from tactorch.inverse.data.observations import Observation
 from tactorch.inverse.forward.predictions import observed_data
 from tactorch.inverse.invert import solution
@@ -14,7 +15,7 @@ from tactorch.inverse.result import LEVEL
 from tactorch.recording import Recording
 from tactorch.report.content import PressFit, RunReport, UncertaintySummary
 from tactorch.report.runs import Run
-from tactorch.uncertainty import credibility
+from tactorch.uncertainty import GaussianPosterior, credibility
 from tactorch.uncertainty.select import UNCOMPUTABLE, posterior_at
 
 #: Called before each step with its name, the number of finished steps and their total.
@@ -59,39 +60,34 @@ def _assess(run: Run, recording: Recording, progress: ProgressCallback) -> RunRe
         progress(_STEPS[number], number, len(_STEPS) - 1)
 
     step(0)
-    settings = run.settings or settings_from(run.result.config)
-    point = solution(recording, run.result, settings)
+    result = run.result
+    point = solution(recording, result, run.settings or settings_from(result.config))
     step(1)
     metric = credibility(point.evaluation)
     step(2)
-    if run.result.shapes is not None:
+    if result.shapes is not None:
         known = _known(run)
         assert known is not None
-        step(4)
-        return RunReport(run, replace(known, credibility=metric))
-    report = _of_elements(run, recording, point, lambda: step(3))
+    else:
+        posterior = posterior_at(point, result.history[-1].get("weight", 0.0))
+        step(3)
+        known = _of_elements(posterior, point.youngs)
+        run = replace(run, result=result.with_posterior(recording, posterior))
     step(4)
-    assert report.uncertainty is not None
-    return replace(report, uncertainty=replace(report.uncertainty, credibility=metric))
+    return RunReport(run, replace(known, credibility=metric))
 
 
 def _of_elements(
-    run: Run, recording: Recording, point: Point, on_posterior: Callable[[], None]
-) -> RunReport:
-    """Return the report of an element map with its posterior."""
-    posterior = posterior_at(point, run.result.history[-1].get("weight", 0.0))
-    on_posterior()
+    posterior: GaussianPosterior, youngs: Float[np.ndarray, " m"]
+) -> UncertaintySummary:
+    """Return the intervals of an element map."""
     low, high = posterior.interval(LEVEL)
-    bounds, youngs = posterior.parameterization.bounds, point.youngs
+    bounds = posterior.parameterization.bounds
     at_bound = youngs < (1 + _AT_BOUND) * bounds.lower
     at_bound |= youngs > (1 - _AT_BOUND) * bounds.upper
     at_bound |= low == high  # the whole interval is beyond a bound
-    summary = UncertaintySummary(
-        low, high, np.clip(posterior.resolution_diagonal(), 0.0, 1.0), None, at_bound,
-        type(posterior).__name__,
-    )  # fmt: skip
-    result = run.result.with_posterior(recording, posterior)
-    return RunReport(replace(run, result=result), summary)
+    resolution = np.clip(posterior.resolution_diagonal(), 0.0, 1.0)
+    return UncertaintySummary(low, high, resolution, None, at_bound, type(posterior).__name__)
 
 
 def _fits(run: Run, recording: Recording) -> list[PressFit]:

@@ -1,7 +1,7 @@
 """Content of the page about each run: figures, finding, limitations and tables."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 import yaml
 from jaxtyping import Bool, Float
 
+from tactorch.config.values import leaves
 from tactorch.inverse import Lump, Reconstruction
 from tactorch.inverse.result.text import (
     Fact,
@@ -263,8 +264,8 @@ def _rms(values: Float[np.ndarray, "*n"]) -> float:
     return float(np.sqrt(np.mean(known**2))) if len(known) else math.nan
 
 
-def _number(value: float, digits: int = 3) -> str:
-    return "–" if math.isnan(value) else f"{value:.{digits}g}"
+def _number(value: float | None, digits: int = 3) -> str:
+    return "–" if value is None or math.isnan(value) else f"{value:.{digits}g}"
 
 
 def _prior(run: Run) -> Any:
@@ -292,7 +293,9 @@ def score_table(runs: Sequence[Run]) -> Table:
             columns[name] = _scores(run, run.recording.reference)
     titles = _SCORES | _COST
     names = [name for name in titles if any(name in column for column in columns.values())]
-    rows = [[titles[name][0], *(_cell(c.get(name)) for c in columns.values())] for name in names]
+    rows = [
+        [titles[name][0], *(_number(c.get(name), 4) for c in columns.values())] for name in names
+    ]
     caption = "Scores against the truth" if set(names) & set(_SCORES) else "Fit and cost"
     best = {row: _best(titles[name][1], name, columns) for row, name in enumerate(names)}
     if _distinct(runs, "truth") > 1:
@@ -332,10 +335,6 @@ def _best(rule: str, name: str, columns: Mapping[str, _Column]) -> set[int]:
     return {int(column) + 1 for column in best}
 
 
-def _cell(value: float | None) -> str:
-    return "–" if value is None or math.isnan(value) else f"{value:.4g}"
-
-
 def history_table(run: Run) -> Table:
     """Return the iterations of an element map, or the models that a search accepted."""
     rows = []
@@ -368,7 +367,7 @@ def _compare(caption: str, columns: Mapping[str, Mapping[str, Any]]) -> Table:
 
 def difference_table(runs: Sequence[Run]) -> Table:
     """Return the settings in which runs differ; without rows if all are the same."""
-    settings = {run.name: dict(_flatten(_compared_settings(run))) for run in runs}
+    settings = {run.name: dict(leaves(_compared_settings(run))) for run in runs}
     table = _compare("Settings in which the runs differ", settings)
     return replace(table, rows=[row for row in table.rows if len(set(row[1:])) > 1])
 
@@ -379,14 +378,6 @@ def _compared_settings(run: Run) -> dict[str, Any]:
     settings.pop("optimizer", None)  # also under its own name
     others = {k: config[k] for k in ("start_mpa", "optimizer", "material") if k in config}
     return {"recording": {"file": run.summary.get("recording")}} | settings | others
-
-
-def _flatten(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flatten(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", str(value)
 
 
 def _to_yaml(values: Any) -> str:

@@ -113,8 +113,9 @@ def _run_data(report: RunReport) -> dict[str, Any]:
     if recording is not None:
         truth = recording.truth
         departure = None if truth is None else departure_from_background(mesh, truth)
-        inside = None if departure is None else departure > OUTLINE_LEVEL
-        data["trueInclusion"] = None if inside is None else _boundary(mesh, inside)
+        if departure is not None:
+            boundary = _boundary(mesh, departure > OUTLINE_LEVEL)
+            data["trueInclusion"] = indices(boundary, mesh.n_points)
         forces = total_forces(recording.presses)
         data["contact"] = [
             {"triangles": indices(p.triangles, mesh.n_points), "direction": p.direction.tolist()}
@@ -133,15 +134,11 @@ def _lumps(report: RunReport) -> list[dict[str, Any]]:
     """
     result, mesh = report.result, report.result.mesh
     if result.shapes is None:
+        inclusions = [lump.inclusion for lump in result.lumps]
+        surfaces = [Surface(mesh.points, _boundary(mesh, i.elements)) for i in inclusions]
         return [
-            {
-                "youngs": lump.inclusion.mean_mpa,
-                "best": {
-                    "points": packed(mesh.points, "float32"),
-                    "triangles": _boundary(mesh, lump.inclusion.elements),
-                },
-            }
-            for lump in result.lumps
+            {"youngs": inclusion.mean_mpa, "best": _surface(surface)}
+            for inclusion, surface in zip(inclusions, surfaces, strict=True)
         ]
     return [
         {
@@ -176,12 +173,12 @@ def _fields(run: Run, uncertainty: UncertaintySummary | None) -> dict[str, np.nd
     return fields
 
 
-def _boundary(mesh: TetMesh, elements: Bool[np.ndarray, " m"]) -> dict[str, Any]:
+def _boundary(mesh: TetMesh, elements: Bool[np.ndarray, " m"]) -> Int[np.ndarray, "t 3"]:
     """Return the triangles around some elements: the faces of exactly one of them."""
     faces = mesh.tets[elements][:, LOCAL_FACES].reshape(-1, 3)
     nodes = np.sort(faces, axis=1)
     _, first, count = np.unique(nodes, axis=0, return_index=True, return_counts=True)
-    return indices(faces[first[count == 1]], mesh.n_points)
+    return faces[first[count == 1]]
 
 
 def _press_data(number: int, press: Press, fit: PressFit) -> dict[str, Any]:

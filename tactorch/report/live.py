@@ -5,18 +5,16 @@ beside it has what changes, and an open page loads it again and again: that need
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from jaxtyping import Float
-from markupsafe import Markup
 
 from tactorch.files import write_file
 from tactorch.report.content import RunReport
 from tactorch.report.figure_data import figure_data, script_json
-from tactorch.report.write import asset, make_environment
+from tactorch.report.write import render
+from tactorch.sampling import Patch
 
 PAGE, SCRIPT = "live.html", "live-data.js"
 _SCRIPTS = ("core.js", "mesh.js", "slices.js", "solid.js", "controls.js", "live.js")
@@ -24,84 +22,39 @@ _MESH = ("points", "tets", "surface", "bounds")  # of the data of a run
 
 
 @dataclass(frozen=True, eq=False)
-class NextPress:
-    """A round patch to press next.
-
-    Attributes:
-        center_mm: Centre, (3,), mm.
-        inward: Unit normal into the object, (3,).
-        radius_mm: Radius, mm.
-    """
-
-    center_mm: Float[np.ndarray, "3"]
-    inward: Float[np.ndarray, "3"]
-    radius_mm: float
-
-    def plain(self) -> dict[str, Any]:
-        """Return plain values for the page."""
-        center, inward = self.center_mm.tolist(), self.inward.tolist()
-        return {"center": center, "inward": inward, "radius": self.radius_mm}
-
-
-@dataclass(frozen=True, eq=False)
 class LivePage:
-    """Content of the page.
+    """Content of the page."""
 
-    Attributes:
-        name: Name of the session.
-        version: Number of the content; later ones are larger.
-        texts: Text of each of `status`, `headline`, `finding` and `next`; an empty one is hidden.
-        columns: Titles of the table of updates.
-        rows: Its cells, the last update first.
-        notes: Warnings.
-        report: Map and finding; None before the first update.
-        next_press: Place that was chosen for the next press, if there is one.
-        ended: Whether the session has ended, so that the page needs no further content.
-    """
+    name: str  # of the session
+    version: int  # of the content; later ones are larger
+    texts: Mapping[str, str]  # `status`, `headline`, `finding` and `next`; empty ones are hidden
+    columns: Sequence[str] = ()  # titles of the table of updates
+    rows: Sequence[Sequence[str]] = ()  # its cells, the last update first
+    notes: Sequence[str] = ()  # warnings
+    report: RunReport | None = None  # map and finding; None before the first update
+    next_press: Patch | None = None  # place that was chosen for the next press
+    ended: bool = False  # the page needs no further content
 
-    name: str
-    version: int
-    texts: Mapping[str, str]
-    columns: Sequence[str] = ()
-    rows: Sequence[Sequence[str]] = ()
-    notes: Sequence[str] = ()
-    report: RunReport | None = None
-    next_press: NextPress | None = None
-    ended: bool = False
-    _data: dict[str, Any] = field(init=False, default_factory=dict)
-
-    def __post_init__(self) -> None:
-        reports = [] if self.report is None else [self.report]
-        data = figure_data(reports, "viridis")
-        for run in data["runs"]:
-            run["next"] = None if self.next_press is None else self.next_press.plain()
-        mesh = "" if self.report is None else self.report.run.result.mesh.content_hash()[:16]
-        data |= {"version": self.version, "mesh": mesh, "script": SCRIPT, "ended": self.ended}
-        object.__setattr__(self, "_data", data)
+    @cached_property
+    def _data(self) -> dict[str, Any]:
+        report, place, following = self.report, self.next_press, None
+        if place is not None:
+            center, inward = place.center.tolist(), place.inward.tolist()
+            following = {"center": center, "inward": inward, "radius": float(place.radius_mm)}
+        data = figure_data([] if report is None else [report], "viridis")
+        data["runs"] = [run | {"next": following} for run in data["runs"]]
+        mesh = "" if report is None else report.run.result.mesh.content_hash()[:16]
+        return data | {"version": self.version, "mesh": mesh, "script": SCRIPT, "ended": self.ended}
 
     def write(self, folder: Path) -> None:
         """Write page and script into a folder, each of them whole."""
-        write_file(folder / PAGE, self.html())
-        write_file(folder / SCRIPT, f"window.tactorchLive({script_json(self.update())});\n")
+        page = render("live.html", _SCRIPTS, self._data, page=self)
+        write_file(folder / PAGE, page)
+        write_file(folder / SCRIPT, f"window.tactorchLive({script_json(self._update())});\n")
 
-    def html(self) -> str:
-        """Return the page; all text is escaped."""
-        return (
-            make_environment()
-            .get_template("live.html")
-            .render(
-                page=self,
-                style=Markup(asset("style.css")),
-                script=Markup("\n".join(asset(name) for name in _SCRIPTS)),
-                data=Markup(script_json(self._data)),
-            )
-        )
-
-    def update(self) -> dict[str, Any]:
+    def _update(self) -> dict[str, Any]:
         """Return what replaces the content of an open page, as JSON values."""
         runs = [{k: v for k, v in run.items() if k not in _MESH} for run in self._data["runs"]]
         update = {name: self._data[name] for name in ("version", "mesh", "ended", "limits")}
-        texts = {"texts": dict(self.texts), "notes": list(self.notes)}
-        rows = [list(row) for row in self.rows]
-        update |= {**texts, "rows": rows, "run": runs[0] if runs else None}
-        return update
+        content = {"texts": self.texts, "notes": self.notes, "rows": self.rows}
+        return update | content | {"run": runs[0] if runs else None}

@@ -1,14 +1,15 @@
 """Run folders of inversions."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from tactorch.errors import FileError, RecordingError, TactorchError
 from tactorch.files import read_json, require_file, require_folder
-from tactorch.inverse import NoiseModel, Reconstruction, Settings, ShapeReconstruction
+from tactorch.inverse import NoiseModel, Reconstruction, Settings
 from tactorch.inverse.result.build import of_inclusions, with_lumps
+from tactorch.loading import load
 from tactorch.recording import Recording
 from tactorch.text import one_line
 
@@ -38,10 +39,10 @@ class Run:
     name: str
     result: Reconstruction
     recording: Recording | None
-    missing: str
-    summary: dict[str, Any]
-    text: str
-    log: str
+    missing: str = ""
+    summary: dict[str, Any] = field(default_factory=dict)
+    text: str = ""
+    log: str = ""
     settings: Settings | None = None
 
     @property
@@ -143,13 +144,7 @@ def _complete(result: Reconstruction, recording: Recording | None, folder: Path)
     elements, path = with_lumps(result, recording), folder / _SHAPES
     if not path.is_file():
         return elements
-    remedy = "run `tactorch find` again."
-    values = read_json(path, "shapes", remedy)
-    try:
-        shapes = ShapeReconstruction.of(values)
-    except (KeyError, TypeError, ValueError) as error:
-        raise FileError(f"'{path}' has no valid shapes ({error}); {remedy}") from error
-    found = of_inclusions(recording, shapes, result.config, result.seconds)
+    found = of_inclusions(recording, load(path), result.config, result.seconds)
     return replace(found, other=elements)
 
 

@@ -80,9 +80,8 @@ def report_of(
         options: Options of `write_report`.
     """
     missing = "" if recording is not None else "no recording was given"
-    run = Run(
-        Path(path).parent, Path(path).stem, result, recording, missing, {}, result.summary(), "",
-    )  # fmt: skip
+    place, text = Path(path), result.summary()
+    run = Run(place.parent, place.stem, result, recording, missing, text=text)
     return write_report([run], path, **options)
 
 
@@ -92,37 +91,39 @@ def _render(reports: Sequence[RunReport], colours: str) -> str:
     recordings = [run.recording for run in runs if run.recording is not None]
     title = f"{runs[0].name}: {reports[0].headline}"
     now = datetime.now().astimezone()
-    return (
-        make_environment()
-        .get_template("page.html")
-        .render(
-            title=title if len(runs) == 1 else f"{len(runs)} runs compared",
-            created=f"{now:%d %B %Y, %H:%M} by tactorch {versions()['tactorch']}",
-            reports=reports,
-            has_truth=any(recording.truth is not None for recording in recordings),
-            scores=score_table(runs),
-            histories=[history_table(run) for run in runs],
-            differences=difference_table(runs),
-            versions=versions_table(runs),
-            style=Markup(asset("style.css")),
-            script=Markup("\n".join(asset(name) for name in _SCRIPTS)),
-            data=Markup(script_json(figure_data(reports, colours))),
-        )
+    return render(
+        "page.html",
+        _SCRIPTS,
+        figure_data(reports, colours),
+        title=title if len(runs) == 1 else f"{len(runs)} runs compared",
+        created=f"{now:%d %B %Y, %H:%M} by tactorch {versions()['tactorch']}",
+        reports=reports,
+        has_truth=any(recording.truth is not None for recording in recordings),
+        scores=score_table(runs),
+        histories=[history_table(run) for run in runs],
+        differences=difference_table(runs),
+        versions=versions_table(runs),
     )
 
 
-def make_environment() -> Environment:
-    """Return the environment of the templates, which escapes all text."""
-    return Environment(
+def render(template: str, scripts: Sequence[str], data: Any, **content: Any) -> str:
+    """Return a page as HTML, with its scripts and their data; all text is escaped."""
+    environment = Environment(
         loader=PackageLoader("tactorch.report", "page"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True, finalize=_printable,
     )  # fmt: skip
+    return environment.get_template(template).render(
+        style=Markup(_asset("style.css")),
+        script=Markup("\n".join(map(_asset, scripts))),
+        data=Markup(script_json(data)),
+        **content,
+    )
 
 
 def _printable(value: Any) -> Any:
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
-def asset(name: str) -> str:
+def _asset(name: str) -> str:
     """Return the text of a file of the page."""
     return (files("tactorch.report") / "page" / name).read_text(encoding="utf-8")

@@ -3,10 +3,9 @@
 No text is parsed as mathtext, because names may come from files.
 """
 
-from tactorch.viz.comparison import comparison_figure
 from tactorch.viz.convergence import convergence_figure
 from tactorch.viz.figure import save_figure
-from tactorch.viz.reconstruction import reconstruction_figure
+from tactorch.viz.reconstruction import comparison_figure, reconstruction_figure
 from tactorch.viz.slices import slice_figure
 from tactorch.viz.uncertainty import (
     calibration_figure,

@@ -1,16 +1,21 @@
 """Contact regions of an object and the direction of the force, in plane slices."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 
 from tactorch.errors import TactorchError
 from tactorch.mesh import TetMesh, select_face
 from tactorch.recording import Press
-from tactorch.viz.slicing import IN_PLANE
+from tactorch.viz.figure import CONTACT
+from tactorch.viz.slicing import IN_PLANE, Plane
 
+CONTACT_LINE: dict[str, Any] = {"colors": CONTACT, "linewidths": 2.5}
+_ARROWS = 3  # on each patch
 # Minimum in-plane fraction of a force for which an arrow is drawn.
 _MIN_IN_PLANE = 0.3
 # Patches below this fraction of the largest area are in contact only if pushed inward.
@@ -83,8 +88,21 @@ def cut_triangles(
     return crossings[:, list(IN_PLANE[axis])].reshape(-1, 2, 2)
 
 
+def draw_cut(
+    axes: Axes,
+    piece: Plane,
+    points: Float[np.ndarray, "n 3"],
+    triangles: Int[np.ndarray, "k 3"],
+    **style: Any,
+) -> Float[np.ndarray, "s 2 2"]:
+    """Draw the segments where triangles cross a slice, and return them."""
+    segments = cut_triangles(points, triangles, piece.axis, piece.position_mm)
+    axes.add_collection(LineCollection(list(segments), **style))
+    return segments
+
+
 def arrow_positions(
-    segments: Float[np.ndarray, "s 2 2"], direction: Float[np.ndarray, "3"], axis: int, count: int
+    segments: Float[np.ndarray, "s 2 2"], direction: Float[np.ndarray, "3"], axis: int
 ) -> tuple[Float[np.ndarray, "a 2"], Float[np.ndarray, "2"]]:
     """Return the tips of force arrows on a cut contact patch, and their unit direction.
 
@@ -98,7 +116,7 @@ def arrow_positions(
     midpoints = segments.mean(axis=1)
     order = np.argsort(midpoints @ np.array([-flat[1], flat[0]]), kind="stable")
     arc = np.cumsum(np.linalg.norm(segments[order, 1] - segments[order, 0], axis=1))
-    targets = (np.arange(count) + 0.5) / count * arc[-1]
+    targets = (np.arange(_ARROWS) + 0.5) / _ARROWS * arc[-1]
     tips = np.minimum(np.searchsorted(arc, targets), len(order) - 1)
     return midpoints[order[tips]], flat
 

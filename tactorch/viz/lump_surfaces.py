@@ -17,25 +17,17 @@ _TAIL = 0.05  # probability outside a 90 % interval, on either side
 
 
 class Surface(NamedTuple):
-    """A closed surface.
-
-    Attributes:
-        points: Corners, mm.
-        triangles: Corners of each triangle.
-    """
+    """Corners of a closed surface, mm, and those of each of its triangles."""
 
     points: Float[np.ndarray, "n 3"]
     triangles: Int[np.ndarray, "t 3"]
 
 
 class LumpSurfaces(NamedTuple):
-    """An inclusion, and where its boundary is.
+    """The most probable inclusion, and where its boundary is.
 
-    Attributes:
-        best: The most probable inclusion.
-        inner: Around points that belong to it with a probability above 95 %; None without any.
-        outer: Around points that belong to it with a probability above 5 %.
-        youngs_mpa: Young's modulus of the inclusion, MPa.
+    `inner` and `outer` are around the points that belong to it with probabilities above 95 % and
+    5 %; None without any.
     """
 
     best: Surface

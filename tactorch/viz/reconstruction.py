@@ -1,24 +1,27 @@
-"""Slices of a result: its field, the element map beside it, and the truth."""
+"""Slices of a result, beside its element map and the truth, and of several results."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from tactorch.errors import TactorchError
+from tactorch.errors import ConfigError
 from tactorch.inverse import Reconstruction
-from tactorch.viz.contact import contact_patches, cut_triangles
-from tactorch.viz.figure import CONTACT, MODULUS_LABEL, new_grid
-from tactorch.viz.lump_surfaces import LumpSurfaces, Surface, lump_surfaces
-from tactorch.viz.slicing import AXES, IN_PLANE, Slice, colour_scale, slices_at
+from tactorch.text import one_line
+from tactorch.viz.contact import CONTACT_LINE, contact_patches, draw_cut
+from tactorch.viz.figure import MODULUS_LABEL, new_grid
+from tactorch.viz.lump_surfaces import lump_surfaces
+from tactorch.viz.slicing import Slice, check_values, colour_scale, slices_at
 
 _PANEL_INCHES = 2.3
-_PIXELS = 160
-_BEST, _RANGE = ("white", 1.3, "-"), ("white", 0.8, ":")  # colour, width and style of outlines
+_PIXELS, _COMPARED_PIXELS = 160, 90
+_MAX_NAME = 90
+# Outlines of an inclusion, and of what is inside it with 95 % and 5 %.
+_BEST: dict[str, Any] = {"colors": "white", "linewidths": 1.3, "linestyles": "-", "zorder": 3}
+_RANGE = {**_BEST, "linewidths": 0.8, "linestyles": ":"}
 
 
 def reconstruction_figure(
@@ -53,10 +56,8 @@ def reconstruction_figure(
     if truth is not None:
         rows["truth by element"] = truth
     for name, values in rows.items():
-        if values is not None and values.shape != (mesh.n_tets,):
-            raise TactorchError(
-                f"{name}: shape {values.shape} for a mesh of {mesh.n_tets} tetrahedra."
-            )
+        if values is not None:
+            check_values(name, values, mesh)
     if point_mm is None:
         center = result.lumps[0].inclusion.center_mm if result.lumps else None
         point_mm = np.mean(mesh.bounds, axis=0) if center is None else center
@@ -72,16 +73,16 @@ def reconstruction_figure(
     for (name, values), row in zip(rows.items(), grid, strict=True):
         for piece, field, axes in zip(slices, fields, row, strict=True):
             pixels = field if values is None else piece.values(values)
-            axes.imshow(
-                pixels, extent=piece.extent_mm, origin="lower", interpolation="nearest",
-                cmap=cmap, norm=norm,
-            )  # fmt: skip
-            if name == result.name:
-                _outline(axes, piece, lumps)
+            piece.show(axes, pixels, cmap=cmap, norm=norm)
+            for lump in lumps if name == result.name else ():
+                outlines = (lump.best, _BEST), (lump.inner, _RANGE), (lump.outer, _RANGE)
+                for surface, style in outlines:
+                    if surface is not None:
+                        draw_cut(axes, piece, *surface, **style)
             for patch in patches:
-                segments = cut_triangles(mesh.points, patch.triangles, *_plane(piece))
-                axes.add_collection(LineCollection(list(segments), colors=CONTACT, linewidths=2.5))
-            _label(axes, piece, name if axes is row[0] else "", name == last)
+                draw_cut(axes, piece, mesh.points, patch.triangles, **CONTACT_LINE)
+            title = name if axes is row[0] else ""
+            piece.label(axes, title, bottom=name == last, fontsize=8)
     figure.colorbar(ScalarMappable(norm, cmap), ax=grid, label=MODULUS_LABEL, shrink=0.8)
     if result.reasons:
         figure.suptitle("Do not trust this result: see its summary", color="firebrick", fontsize=10)
@@ -92,40 +93,37 @@ def _field(piece: Slice, result: Reconstruction) -> Float[np.ma.MaskedArray, "r 
     """Modulus of a result at the pixels of a slice, masked outside the body."""
     if result.shapes is None:
         return piece.values(result.youngs)
-    across, up = IN_PLANE[piece.axis]
-    horizontal, vertical = piece.centres_mm()
-    points = np.empty((len(vertical), len(horizontal), 3))
-    points[..., piece.axis] = piece.position_mm
-    points[..., across], points[..., up] = horizontal, vertical[:, None]
-    values = result.youngs_at(points.reshape(-1, 3)).reshape(points.shape[:2])
+    values = result.youngs_at(piece.points.reshape(-1, 3)).reshape(piece.elements.shape)
     return np.ma.masked_where(piece.elements < 0, values)
 
 
-def _plane(piece: Slice) -> tuple[int, float]:
-    return piece.axis, piece.position_mm
+def comparison_figure(
+    runs: Mapping[str, Reconstruction], *, common: bool = True, cmap: str = "viridis"
+) -> Figure:
+    """Return a figure with three slices of each map, one run in each row.
 
+    Args:
+        runs: Results of inversions by name.
+        common: Whether all runs have one colour scale, rather than one each.
+        cmap: Name of a matplotlib colour map.
 
-def _outline(axes: Axes, piece: Slice, lumps: Sequence[LumpSurfaces]) -> None:
-    """Draw the boundaries of inclusions, and of what is inside with 95 % and 5 %."""
-    for lump in lumps:
-        for surface, style in ((lump.best, _BEST), (lump.inner, _RANGE), (lump.outer, _RANGE)):
-            if surface is not None:
-                _draw_surface(axes, piece, surface, *style)
-
-
-def _draw_surface(
-    axes: Axes, piece: Slice, surface: Surface, colour: str, width: float, style: str
-) -> None:
-    segments = list(cut_triangles(surface.points, surface.triangles, *_plane(piece)))
-    axes.add_collection(
-        LineCollection(segments, colors=colour, linewidths=width, linestyles=style, zorder=3)
-    )
-
-
-def _label(axes: Axes, piece: Slice, name: str, last: bool) -> None:
-    across, up = IN_PLANE[piece.axis]
-    axes.set_title(f"{AXES[piece.axis]} = {piece.position_mm:.2f} mm", fontsize=8)
-    axes.tick_params(labelsize=7)
-    if last:
-        axes.set_xlabel(f"{AXES[across]} (mm)", fontsize=8)
-    axes.set_ylabel(f"{name}\n{AXES[up]} (mm)" if name else f"{AXES[up]} (mm)", fontsize=8)
+    Raises:
+        ConfigError: There is no run.
+    """
+    if not runs:
+        raise ConfigError("comparison_figure: no run given; pass at least one.")
+    everything = np.concatenate([run.youngs for run in runs.values()])
+    figure, grid = new_grid(3 * _PANEL_INCHES + 1.6, _PANEL_INCHES * len(runs) + 0.4, len(runs), 3)
+    for row, (name, run) in zip(grid, runs.items(), strict=True):
+        scaled = everything if common else run.youngs
+        norm = colour_scale({"reconstruction": scaled}, "linear", None)
+        center = np.mean(run.mesh.bounds, axis=0)
+        for axes, piece in zip(row, slices_at(run.mesh, center, _COMPARED_PIXELS), strict=True):
+            piece.draw(axes, run.youngs, cmap=cmap, norm=norm)
+            piece.label(axes, top=False, fontsize=7)
+        row[1].set_title(one_line(name, _MAX_NAME), fontsize=8)
+        if not common:
+            figure.colorbar(ScalarMappable(norm, cmap), ax=row, label=MODULUS_LABEL, shrink=0.9)
+    if common:
+        figure.colorbar(ScalarMappable(norm, cmap), ax=grid, label=MODULUS_LABEL, shrink=0.8)
+    return figure

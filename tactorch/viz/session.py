@@ -1,4 +1,4 @@
-"""Figures of a sensor session: measurements over time, contacts, and the recorded presses."""
+"""Figures of a sensor session: measurements and contacts over time."""
 
 from collections.abc import Mapping, Sequence
 
@@ -6,19 +6,12 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.spatial import cKDTree
 
-from tactorch.errors import ConfigError
-from tactorch.recording import Press, Recording
+from tactorch.recording import Recording
 from tactorch.sensor.chain import Measurement
 from tactorch.sensor.recorder import ContactInterval
-from tactorch.text import one_line
 from tactorch.viz.figure import BLUE, COLOURS, GREEN, VERMILION, new_grid
-from tactorch.viz.views import axis_name, plane_across, push_direction
 
-_MAX_PRESSES = 6
-_WIDTH, _HEIGHT = 2.8, 6.4  # inches per press
-_MAX_NAME = 30
 _LEGEND = {"fontsize": 8, "loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
 
 
@@ -94,79 +87,3 @@ def session_figure(
             axes.axvspan(*ends, color="0.88", zorder=-1)
     lower.set_xlabel("time, s" if timed else "frame")
     return figure
-
-
-def presses_figure(recording: Recording, max_presses: int = _MAX_PRESSES) -> Figure:
-    """Return a figure of displacement and force of presses, each seen along the press.
-
-    Colours show the components along the press, arrows those across it. A press without direction
-    is seen along its total force. The last step of each contact is drawn first.
-    """
-    if max_presses < 1:
-        raise ConfigError(f"max_presses={max_presses} must be at least 1.")
-    presses = _select(recording, max_presses)
-    figure, grid = new_grid(_WIDTH * len(presses) + 0.8, _HEIGHT, 2, len(presses))
-    displacements = [_displacement(press, recording.mesh.points) for press in presses]
-    observed = [np.isfinite(displacement) for displacement in displacements]
-    forces = [p.forces for p in presses]
-    rows = (
-        (displacements, observed, "displacement along the press, mm", "mm"),
-        (forces, forces, "force along the press, N", "N"),
-    )
-    for axes_row, (values, masks, label, unit) in zip(grid, rows, strict=True):
-        along = [
-            value @ push_direction(press) for value, press in zip(values, presses, strict=True)
-        ]
-        top = max(float(np.nanmax(np.abs(part))) for part in along) or 1.0
-        for axes, press, value, mask, colours in zip(
-            axes_row, presses, values, masks, along, strict=True
-        ):
-            shown = np.any(mask, axis=1)
-            across = plane_across(push_direction(press))
-            flat = recording.mesh.points @ across.T
-            dots = axes.scatter(
-                *flat[shown].T, c=colours[shown], cmap="cividis", vmin=min(0.0, -0.1 * top),
-                vmax=top, s=26, edgecolor="0.25", linewidth=0.3,
-            )  # fmt: skip
-            _draw_arrows(axes, flat, np.nan_to_num(value @ across.T), shown, unit)
-            axes.set_xlabel(f"{axis_name(across[0])}, mm", fontsize=8)
-            axes.set_ylabel(f"{axis_name(across[1])}, mm", fontsize=8)
-            axes.tick_params(labelsize=7)
-        figure.colorbar(dots, ax=axes_row, label=label, shrink=0.9, pad=0.02)
-    for number, (axes, press) in enumerate(zip(grid[0], presses, strict=True), start=1):
-        axes.set_title(one_line(press.name, _MAX_NAME) or f"press {number}", fontsize=9)
-    return figure
-
-
-def _displacement(press: Press, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Measured displacement of each node, NaN where unknown; along an axis at the nodes nearest."""
-    displacement = np.where(press.observed, press.displacement, np.nan)
-    if press.surface is not None and not press.observed.any():
-        _, nearest = cKDTree(points).query(press.surface.points_mm)
-        along = press.surface.displacement_mm[:, None]
-        displacement[nearest] = along * press.surface.directions
-    return displacement
-
-
-def _draw_arrows(
-    axes: Axes, flat: np.ndarray, vectors: np.ndarray, shown: np.ndarray, unit: str
-) -> None:
-    """Draw in-plane vectors of the nodes shown, and the extent of the object."""
-    arrows = vectors[shown]
-    longest = max(float(np.linalg.norm(arrows, axis=1).max(initial=0.0)), 1e-12)
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    scale = longest / (0.12 * float((high - low).max()))
-    axes.quiver(
-        *flat[shown].T, *arrows.T, angles="xy", scale_units="xy", scale=scale, color=VERMILION,
-        width=0.006,
-    )  # fmt: skip
-    low, high = low - 0.06 * (high - low), high + 0.06 * (high - low)
-    axes.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]), facecolor="0.94")
-    text = f"longest arrow {longest:.2g} {unit}"
-    axes.text(0.02, 0.02, text, transform=axes.transAxes, fontsize=7)
-
-
-def _select(recording: Recording, count: int) -> list[Press]:
-    """Return up to `count` presses of the highest steps, in their order."""
-    order = sorted(range(len(recording.presses)), key=lambda i: -recording.presses[i].step)
-    return [recording.presses[i] for i in sorted(order[:count])]

@@ -7,21 +7,27 @@ import matplotlib
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator, ScalarFormatter
+from matplotlib.ticker import ScalarFormatter
 
-from tactorch.errors import ConfigError, TactorchError
+from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
-from tactorch.viz.contact import ContactPatch, arrow_positions, contact_patches, cut_triangles
+from tactorch.sampling import Patch
+from tactorch.viz.contact import (
+    CONTACT_LINE,
+    ContactPatch,
+    arrow_positions,
+    contact_patches,
+    draw_cut,
+)
 from tactorch.viz.figure import CONTACT, MODULUS_LABEL, new_grid
 from tactorch.viz.slicing import (
-    AXES,
     IN_PLANE,
     OUTLINE_STYLES,
     Slice,
+    check_values,
     colour_scale,
     departure_from_background,
     draw_outline,
@@ -78,10 +84,10 @@ def slice_figure(
         raise ConfigError(f"pixels is {pixels}; give at least 2, better 100.")
     if cmap not in matplotlib.colormaps:
         raise ConfigError(f"cmap '{cmap}' is not known to matplotlib; try viridis or cividis.")
-    _check_values("youngs", youngs, mesh)
+    check_values("youngs", youngs, mesh)
     maps, departure = {"reconstruction": youngs}, None
     if truth is not None:
-        _check_values("truth", truth, mesh)
+        check_values("truth", truth, mesh)
         maps["truth"], departure = truth, departure_from_background(mesh, truth)
     patches = [] if pressed is None else contact_patches(mesh, pressed)
     arrow_mm = _ARROW * float(np.ptp(mesh.bounds, axis=0).max())
@@ -100,32 +106,20 @@ def slice_figure(
                 draw_outline(axes, mesh, piece, departure)
             _draw_body(axes, mesh, piece, patches, arrow_mm)
             _set_window(axes, piece, window_mm)
+            title = name if len(maps) > 1 else ""
             left, bottom = axes is axes_row[0], kind == len(maps) - 1
-            _label(axes, piece, name if len(maps) > 1 else "", left, kind == 0, bottom)
+            piece.label(axes, title, left=left, top=kind == 0, bottom=bottom)
     _add_colour_bar(figure, panels, np.concatenate(list(maps.values())), norm, label)
     legend: dict[str, Any] = {}
     if patches:
-        legend["contact (arrows: direction of the force)"] = _contact_line()
+        legend["contact (arrows: direction of the force)"] = Line2D(
+            [], [], color=CONTACT, linewidth=2.5
+        )
     if departure is not None:
         lines = [Line2D([], [], color=c, linewidth=w, linestyle=s) for c, w, s in OUTLINE_STYLES]
         legend["true inclusion"] = tuple(lines)
     _add_legend(figure, legend, title)
     return figure
-
-
-def _check_values(name: str, values: np.ndarray, mesh: TetMesh) -> None:
-    count = mesh.n_tets
-    if values.shape != (count,):
-        raise TactorchError(
-            f"{name}: shape {values.shape} for a mesh of {count} tetrahedra; "
-            f"give one modulus (MPa) per tetrahedron, shape ({count},)."
-        )
-    invalid = np.flatnonzero(~np.isfinite(values))
-    if len(invalid):
-        raise TactorchError(
-            f"{name}: {len(invalid)} of {count} values are not finite, the first at element "
-            f"{invalid[0]}; a map needs a number everywhere."
-        )
 
 
 def _window(mesh: TetMesh, patches: list[ContactPatch], arrow_mm: float) -> np.ndarray:
@@ -155,17 +149,13 @@ def _draw_body(
     arrow_mm: float | None = None,
 ) -> None:
     """Draw the outline of the body and its contacts, with arrows if their length is given."""
-    plane = piece.axis, piece.position_mm
-    outline = list(cut_triangles(mesh.points, mesh.surface.triangles, *plane))
-    axes.add_collection(LineCollection(outline, colors="0.4", linewidths=0.6))
+    draw_cut(axes, piece, mesh.points, mesh.surface.triangles, colors="0.4", linewidths=0.6)
     style = {"arrowstyle": "-|>", "color": CONTACT, "linewidth": 1.1, "shrinkA": 0, "shrinkB": 1}
     for patch in patches:
-        segments = cut_triangles(mesh.points, patch.triangles, *plane)
-        lines = LineCollection(list(segments), colors=CONTACT, linewidths=2.5, zorder=3)
-        axes.add_collection(lines)
+        segments = draw_cut(axes, piece, mesh.points, patch.triangles, **CONTACT_LINE, zorder=3)
         if arrow_mm is None:
             continue
-        tips, along = arrow_positions(segments, patch.direction, piece.axis, count=3)
+        tips, along = arrow_positions(segments, patch.direction, piece.axis)
         for tip in tips:
             start = tuple(tip - arrow_mm * along)
             arrow = axes.annotate("", xy=tuple(tip), xytext=start, arrowprops=style)
@@ -182,23 +172,6 @@ def _set_window(axes: Axes, piece: Slice, window_mm: np.ndarray) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _label(
-    axes: Axes, piece: Slice, name: str, left: bool = True, top: bool = True, bottom: bool = True
-) -> None:
-    """Label a panel at some of its sides: the name of the map, the position and the axes."""
-    across, up = (AXES[a] for a in IN_PLANE[piece.axis])
-    axes.tick_params(labelsize=8, labelbottom=bottom, labelleft=left)
-    axes.xaxis.set_major_locator(MaxNLocator(4))
-    axes.yaxis.set_major_locator(MaxNLocator(4))
-    if top:
-        position = round(piece.position_mm, 6) + 0.0  # no -0, no 1e-16
-        axes.set_title(f"{AXES[piece.axis]} = {position:.4g} mm", fontsize=9)
-    if bottom:
-        axes.set_xlabel(f"{across} (mm)", fontsize=9)
-    if left:
-        axes.set_ylabel(f"{name}\n{up} (mm)" if name else f"{up} (mm)", fontsize=9)
-
-
 def _add_colour_bar(
     figure: Figure, panels: np.ndarray, values: np.ndarray, norm: Normalize, label: str
 ) -> None:
@@ -211,10 +184,6 @@ def _add_colour_bar(
         bar.ax.yaxis.set_major_formatter(ScalarFormatter())
         bar.ax.yaxis.set_minor_formatter(ScalarFormatter())
         bar.ax.tick_params(which="minor", labelsize=7)
-
-
-def _contact_line() -> Line2D:
-    return Line2D([], [], color=CONTACT, linewidth=2.5)
 
 
 def _add_legend(figure: Figure, legend: dict[str, Any], title: str) -> None:
@@ -233,21 +202,19 @@ def live_figure(
     *,
     pressed: Float[np.ndarray, "n 3"],
     inclusion_mm: Float[np.ndarray, "3"] | None = None,
-    next_mm: Float[np.ndarray, "3"] | None = None,
-    inward: Float[np.ndarray, "3"] | None = None,
-    radius_mm: float = 0.0,
+    next_press: Patch | None = None,
     title: str = "",
 ) -> Figure:
     """Return a figure of three slices through the inclusion, and three through the next press.
 
     Forces `pressed` on the nodes are summed over presses. Without an inclusion the slices are
-    through the centre of the body; without a next press, whose unit vector is `inward`, the second
-    row is omitted.
+    through the centre of the body; without a next press the second row is omitted.
     """
     name = "the middle of the object" if inclusion_mm is None else "the inclusion"
     rows = [(f"through {name}", mesh.bounds.mean(axis=0) if inclusion_mm is None else inclusion_mm)]
-    if next_mm is not None and inward is not None:
-        rows.append(("through the next press", next_mm + 0.5 * radius_mm * inward))
+    if next_press is not None:
+        inside = next_press.center + 0.5 * next_press.radius_mm * next_press.inward
+        rows.append(("through the next press", inside))
     figure, panels = new_grid(10.0, 3.1 * len(rows) + 0.9, len(rows), 3)
     norm = colour_scale({"reconstruction": youngs}, "linear", None)
     patches, longest = contact_patches(mesh, pressed), float(np.ptp(mesh.bounds, axis=0).max())
@@ -260,12 +227,12 @@ def live_figure(
             if inclusion_mm is not None and point is inclusion_mm:
                 x, y = inclusion_mm[list(IN_PLANE[piece.axis])]
                 axes.plot([x], [y], "+", color=_CENTRE, ms=9, mew=1.4, zorder=4)
-            if next_mm is not None and inward is not None:
-                _draw_next_press(axes, piece, next_mm, inward, radius_mm, _LIVE_ARROW * longest)
+            if next_press is not None:
+                _draw_next_press(axes, piece, next_press, _LIVE_ARROW * longest)
             _set_window(axes, piece, window_mm)
-            _label(axes, piece, label if axes is axes_row[0] else "")
+            piece.label(axes, label if axes is axes_row[0] else "")
     _add_colour_bar(figure, panels, youngs, norm, MODULUS_LABEL)
-    legend = {"contact of the presses so far": _contact_line()}
+    legend = {"contact of the presses so far": Line2D([], [], color=CONTACT, linewidth=2.5)}
     if inclusion_mm is not None:
         cross = Line2D([], [], color=_CENTRE, marker="P", ls="", mec="0.3", markersize=8)
         legend["centre of the inclusion"] = cross
@@ -275,22 +242,15 @@ def live_figure(
     return figure
 
 
-def _draw_next_press(
-    axes: Axes,
-    piece: Slice,
-    next_mm: np.ndarray,
-    inward: np.ndarray,
-    radius_mm: float,
-    arrow_mm: float,
-) -> None:
+def _draw_next_press(axes: Axes, piece: Slice, press: Patch, arrow_mm: float) -> None:
     """Draw an arrow, or a ring if seen from above, in slices that cross the contact."""
-    if abs(piece.position_mm - next_mm[piece.axis]) > radius_mm:
+    if abs(piece.position_mm - press.center[piece.axis]) > press.radius_mm:
         return
     plane = list(IN_PLANE[piece.axis])
-    tip, along = next_mm[plane], inward[plane]
+    tip, along = press.center[plane], press.inward[plane]
     if np.linalg.norm(along) < 0.3:
         angle = np.linspace(0.0, 2.0 * np.pi, 49)
-        ring = tip[:, None] + radius_mm * np.stack([np.cos(angle), np.sin(angle)])
+        ring = tip[:, None] + press.radius_mm * np.stack([np.cos(angle), np.sin(angle)])
         axes.plot(*ring, color=_NEXT, lw=2)
         axes.plot([tip[0]], [tip[1]], "o", color=_NEXT, markersize=4)
         return

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
-from matplotlib.image import AxesImage
+from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import gaussian_filter
 
-from tactorch.errors import ConfigError
+from tactorch.errors import ConfigError, TactorchError
 from tactorch.mesh import TetMesh, locate
 from tactorch.metrics.segment import weighted_median
 
@@ -37,41 +37,84 @@ OUTLINE_STYLES: tuple[tuple[str, float, Literal["-", "--"]], ...] = (
 
 
 @dataclass(frozen=True, eq=False)
-class Slice:
-    """Slice by the plane at a position along an axis (0, 1 or 2).
+class Plane:
+    """Pixels of a plane slice at a position along an axis (0, 1 or 2).
 
-    `elements` are the tetrahedra under the pixels, -1 outside; row 0 is the lowest. The extent is
-    left, right, bottom and top of the picture.
+    `points` are the centres of the pixels, mm; row 0 is the lowest. The extent is left, right,
+    bottom and top of the picture.
     """
 
     axis: int
     position_mm: float
-    elements: Int[np.ndarray, "rows columns"]
+    points: Float[np.ndarray, "rows columns 3"]
     extent_mm: tuple[float, float, float, float]
+
+    @classmethod
+    def through(
+        cls, bounds_mm: Float[np.ndarray, "2 3"], axis: int, position_mm: float, pixels: int
+    ) -> "Plane":
+        """Return a slice of a box, whose longest side has so many pixels."""
+        (left, bottom), (right, top) = bounds_mm[:, IN_PLANE[axis]].tolist()
+        pixel = float(np.ptp(bounds_mm, axis=0).max()) / pixels
+        columns, rows = (int(np.ceil(size / pixel - 1e-9)) for size in (right - left, top - bottom))
+        points = np.full((rows, columns, 3), position_mm)
+        points[..., IN_PLANE[axis][0]] = _centres(left, right, columns)
+        points[..., IN_PLANE[axis][1]] = _centres(bottom, top, rows)[:, None]
+        return cls(axis, float(position_mm), points, (left, right, bottom, top))
+
+    def centres_mm(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the pixel centres along the horizontal and the vertical, mm."""
+        across, up = IN_PLANE[self.axis]
+        return self.points[0, :, across], self.points[:, 0, up]
+
+    def show(self, axes: Axes, pixels: Float[np.ndarray, "rows columns"], **options: Any) -> None:
+        """Draw the value of each pixel with `imshow` and its options."""
+        axes.imshow(
+            pixels, extent=self.extent_mm, origin="lower", interpolation="nearest", **options
+        )
+
+    def label(
+        self,
+        axes: Axes,
+        name: str = "",
+        *,
+        left: bool = True,
+        top: bool = True,
+        bottom: bool = True,
+        fontsize: int = 9,
+    ) -> None:
+        """Label a panel at some of its sides: the name of the map, the position and the axes."""
+        across, up = (AXES[a] for a in IN_PLANE[self.axis])
+        axes.tick_params(labelsize=fontsize - 1, labelbottom=bottom, labelleft=left)
+        axes.xaxis.set_major_locator(MaxNLocator(4))
+        axes.yaxis.set_major_locator(MaxNLocator(4))
+        if top:
+            position = round(self.position_mm, 6) + 0.0  # no -0, no 1e-16
+            axes.set_title(f"{AXES[self.axis]} = {position:.4g} mm", fontsize=fontsize)
+        if bottom:
+            axes.set_xlabel(f"{across} (mm)", fontsize=fontsize)
+        if left:
+            axes.set_ylabel(f"{name}\n{up} (mm)" if name else f"{up} (mm)", fontsize=fontsize)
+
+
+@dataclass(frozen=True, eq=False)
+class Slice(Plane):
+    """Slice of a mesh. `elements` are the tetrahedra under the pixels, -1 outside."""
+
+    elements: Int[np.ndarray, "rows columns"]
 
     def values(self, per_element: Float[np.ndarray, " m"]) -> Float[np.ma.MaskedArray, "r c"]:
         """Return the value of each pixel; pixels outside the body are masked."""
         return np.ma.masked_where(self.elements < 0, per_element[self.elements])
 
-    def centres_mm(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pixel centres along the horizontal and the vertical, mm."""
-        rows, columns = self.elements.shape
-        left, right, bottom, top = self.extent_mm
-        return _centres(left, right, columns), _centres(bottom, top, rows)
-
-    def draw(self, axes: Axes, per_element: Float[np.ndarray, " m"], **options: Any) -> AxesImage:
-        """Draw the value of each element with `imshow` and its options."""
-        return axes.imshow(
-            self.values(per_element), extent=self.extent_mm, origin="lower",
-            interpolation="nearest", **options,
-        )  # fmt: skip
+    def draw(self, axes: Axes, per_element: Float[np.ndarray, " m"], **options: Any) -> None:
+        """Draw the value of each element; see `show`."""
+        self.show(axes, self.values(per_element), **options)
 
 
 def slice_body(mesh: TetMesh, n_slices: int, pixels: int) -> list[list[Slice]]:
     """Cut a mesh by `even_planes` across x, y and z; see `cut`."""
-    planes = [plane for axis in range(3) for plane in even_planes(mesh, axis, n_slices)]
-    slices = cut(mesh, planes, pixels)
-    return [slices[axis * n_slices : (axis + 1) * n_slices] for axis in range(3)]
+    return [cut(mesh, even_planes(mesh, axis, n_slices), pixels) for axis in range(3)]
 
 
 def slices_at(mesh: TetMesh, point_mm: Float[np.ndarray, "3"], pixels: int) -> list[Slice]:
@@ -95,30 +138,36 @@ def cut(mesh: TetMesh, planes: Sequence[tuple[int, float]], pixels: int) -> list
 
     The longest side of the bounding box has `pixels` pixels.
     """
-    low, high = mesh.bounds
-    counts = [int(np.ceil(part * pixels - 1e-9)) for part in (high - low) / (high - low).max()]
-    centres = [_centres(low[a], high[a], counts[a]) for a in range(3)]
-    grids = []
-    for axis, position in planes:
-        across, up = IN_PLANE[axis]
-        points = np.empty((counts[up], counts[across], 3))
-        points[..., axis] = position + _NUDGE * mesh.diagonal
-        points[..., across] = centres[across]
-        points[..., up] = centres[up][:, None]
-        grids.append(points)
-    elements = locate(mesh, np.concatenate([points.reshape(-1, 3) for points in grids]))
-    parts = np.split(elements, np.cumsum([points[..., 0].size for points in grids])[:-1])
-    slices = []
-    for (axis, position), points, part in zip(planes, grids, parts, strict=True):
-        (left, bottom), (right, top) = mesh.bounds[:, IN_PLANE[axis]].tolist()
-        shape = points.shape[:2]
-        slices.append(Slice(axis, float(position), part.reshape(shape), (left, right, bottom, top)))
-    return slices
+    offsets = _NUDGE * mesh.diagonal * np.eye(3)
+    cuts = [Plane.through(mesh.bounds, axis, position, pixels) for axis, position in planes]
+    points = [(plane.points + offsets[plane.axis]).reshape(-1, 3) for plane in cuts]
+    elements = locate(mesh, np.concatenate(points))
+    parts = np.split(elements, np.cumsum([len(part) for part in points])[:-1])
+    return [
+        Slice(**vars(plane), elements=part.reshape(plane.points.shape[:2]))
+        for plane, part in zip(cuts, parts, strict=True)
+    ]
 
 
 def _centres(low: float, high: float, count: int) -> np.ndarray:
     """Return the midpoints of `count` equal parts of an interval."""
     return low + (np.arange(count) + 0.5) * ((high - low) / count)
+
+
+def check_values(name: str, values: np.ndarray, mesh: TetMesh) -> None:
+    """Refuse values other than one finite number for each element."""
+    count = mesh.n_tets
+    if values.shape != (count,):
+        raise TactorchError(
+            f"{name}: shape {values.shape} for a mesh of {count} tetrahedra; "
+            f"give one modulus (MPa) per tetrahedron, shape ({count},)."
+        )
+    invalid = np.flatnonzero(~np.isfinite(values))
+    if len(invalid):
+        raise TactorchError(
+            f"{name}: {len(invalid)} of {count} values are not finite, the first at element "
+            f"{invalid[0]}; a map needs a number everywhere."
+        )
 
 
 def colour_scale(

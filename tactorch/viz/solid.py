@@ -3,7 +3,6 @@
 import os
 import sys
 import warnings
-from collections.abc import Sequence
 from functools import singledispatch
 from pathlib import Path
 from types import ModuleType
@@ -19,7 +18,7 @@ from tactorch.phantoms import Phantom
 from tactorch.progress import in_notebook
 from tactorch.recording import Recording
 from tactorch.viz.figure import BLUE, MODULUS_LABEL, VERMILION
-from tactorch.viz.lump_surfaces import Surface, lump_surfaces
+from tactorch.viz.lump_surfaces import lump_surfaces
 
 if TYPE_CHECKING:
     import pyvista
@@ -98,19 +97,17 @@ def _(phantom: Phantom) -> "pyvista.UnstructuredGrid":
 
 @to_pyvista.register(ShapeReconstruction)
 def _(shapes: ShapeReconstruction) -> "pyvista.MultiBlock":
-    return _blocks([_closed(lump.best, lump.youngs_mpa) for lump in lump_surfaces(shapes)])
+    blocks = _pyvista().MultiBlock()
+    for number, lump in enumerate(lump_surfaces(shapes), 1):
+        surface = _surface(*lump.best)
+        surface.cell_data[_YOUNGS] = np.full(surface.n_cells, lump.youngs_mpa)
+        blocks.append(surface, f"lump {number}")
+    return blocks
 
 
-def _blocks(parts: Sequence["pyvista.DataSet"]) -> "pyvista.MultiBlock":
-    return _pyvista().MultiBlock({f"lump {number}": part for number, part in enumerate(parts, 1)})
-
-
-def _closed(surface: Surface, youngs_mpa: float) -> "pyvista.PolyData":
-    closed: pyvista.PolyData = _pyvista().PolyData.from_regular_faces(
-        surface.points, surface.triangles
-    )
-    closed.cell_data[_YOUNGS] = np.full(closed.n_cells, youngs_mpa)
-    return closed
+def _surface(points: np.ndarray, triangles: np.ndarray) -> "pyvista.PolyData":
+    surface: pyvista.PolyData = _pyvista().PolyData.from_regular_faces(points, triangles)
+    return surface
 
 
 def show(thing: object, screenshot: str | Path | None, **options: Any) -> None:
@@ -141,15 +138,24 @@ def _has_windows() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-@singledispatch
-def draw(thing: object, plotter: "pyvista.Plotter") -> None:
-    """Add an object to a plotter."""
-    raise TypeError(f"{type(thing).__name__} has no view in 3-D.")
+def _draw_half(thing: object, plotter: "pyvista.Plotter") -> None:
+    """Draw the modulus of the half of a body behind a cut."""
+    grid = to_pyvista(thing)
+    outline = grid.extract_surface(algorithm="dataset_surface")
+    plotter.add_mesh(outline, color=_BODY, opacity=0.15)
+    half = grid.clip("y", crinkle=True)
+    plotter.add_mesh(
+        half, scalars=_YOUNGS, lighting=False, scalar_bar_args={"title": MODULUS_LABEL}
+    )
+
+
+#: Adds an object to a plotter.
+draw = singledispatch(_draw_half)
 
 
 @draw.register(TetMesh)
 def _(mesh: TetMesh, plotter: "pyvista.Plotter") -> None:
-    surface, scalars = _surface(mesh), None
+    surface, scalars = _surface(mesh.points, mesh.surface.triangles), None
     if mesh.regions is not None:
         surface.cell_data["region"], scalars = mesh.regions[mesh.surface.owners], "region"
     plotter.add_mesh(surface, show_edges=True, color=_BODY, scalars=scalars)
@@ -158,7 +164,8 @@ def _(mesh: TetMesh, plotter: "pyvista.Plotter") -> None:
 @draw.register(Recording)
 def _(recording: Recording, plotter: "pyvista.Plotter") -> None:
     pyvista, mesh = _pyvista(), recording.mesh
-    plotter.add_mesh(_surface(mesh), show_edges=True, color=_BODY, opacity=0.6)
+    surface = _surface(mesh.points, mesh.surface.triangles)
+    plotter.add_mesh(surface, show_edges=True, color=_BODY, opacity=0.6)
     forces = np.sum([press.forces for press in recording.presses], axis=0)
     sizes = np.linalg.norm(forces, axis=1)
     pressed = sizes > _MIN_FORCE * sizes.max(initial=0.0)
@@ -177,24 +184,9 @@ def _(result: Reconstruction, plotter: "pyvista.Plotter") -> None:
     if result.shapes is None:
         _draw_half(result, plotter)
         return
-    plotter.add_mesh(_surface(result.mesh), color=_BODY, opacity=0.15)
+    surface = _surface(result.mesh.points, result.mesh.surface.triangles)
+    plotter.add_mesh(surface, color=_BODY, opacity=0.15)
     _draw_lumps(plotter, to_pyvista(result.shapes), result.background_mpa)
-
-
-@draw.register(Phantom)
-def _(phantom: Phantom, plotter: "pyvista.Plotter") -> None:
-    _draw_half(phantom, plotter)
-
-
-def _draw_half(thing: Reconstruction | Phantom, plotter: "pyvista.Plotter") -> None:
-    """Draw the modulus of the half of a body behind a cut."""
-    grid = to_pyvista(thing)
-    outline = grid.extract_surface(algorithm="dataset_surface")
-    plotter.add_mesh(outline, color=_BODY, opacity=0.15)
-    half = grid.clip("y", crinkle=True)
-    plotter.add_mesh(
-        half, scalars=_YOUNGS, lighting=False, scalar_bar_args={"title": MODULUS_LABEL}
-    )
 
 
 @draw.register(ShapeReconstruction)
@@ -203,13 +195,6 @@ def _(shapes: ShapeReconstruction, plotter: "pyvista.Plotter") -> None:
     box = np.stack([low, high], axis=1).ravel()
     plotter.add_mesh(_pyvista().Box(bounds=box), style="wireframe", color="grey")
     _draw_lumps(plotter, to_pyvista(shapes), shapes.background_mpa)
-
-
-def _surface(mesh: TetMesh) -> "pyvista.PolyData":
-    surface: pyvista.PolyData = _pyvista().PolyData.from_regular_faces(
-        mesh.points, mesh.surface.triangles
-    )
-    return surface
 
 
 def _draw_lumps(

@@ -77,12 +77,11 @@ def _draw_layers(part: SubFigure, mesh: TetMesh, values: np.ndarray) -> None:
     panels = part.subplots(1, _SLICES)
     slices = cut(mesh, even_planes(mesh, 2, _SLICES)[::-1], 160)
     for axes, piece in zip(panels, slices, strict=True):
-        image = piece.draw(axes, values, cmap="cividis", norm=norm)
-        axes.set_title(f"z = {piece.position_mm:.3g} mm", fontsize=9)
-        axes.tick_params(labelsize=8)
-        axes.set_xlabel("x (mm)", fontsize=9)
-    panels[0].set_ylabel("y (mm)", fontsize=9)
-    part.colorbar(image, ax=panels, label="L per volume (mm/MPa/mm³)", aspect=15, pad=0.02)
+        piece.draw(axes, values, cmap="cividis", norm=norm)
+        piece.label(axes, left=axes is panels[0])
+    part.colorbar(
+        panels[-1].images[0], ax=panels, label="L per volume (mm/MPa/mm³)", aspect=15, pad=0.02
+    )
 
 
 def calibration_figure(curves: Mapping[str, Float[np.ndarray, " k"]], *, title: str = "") -> Figure:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tactorch.cli.networks import MODELS, TrainOptions
+from tactorch.cli.train import MODELS, TrainOptions
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.learning.recognizer import Recognizer

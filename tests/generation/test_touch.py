@@ -17,7 +17,7 @@ from tactorch.recording import MaterialSpec
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription, save_sensor
 from tactorch.touch import TouchOptions
 from tactorch.viz import save_figure
-from tactorch.viz.touch import touch_figure
+from tactorch.viz.learning import touch_figure
 
 Make = Callable[..., Recipe]
 FAMILY = {"name": "bodies", "width_mm": (10.0, 12.0), "count": (0, 1), "shapes": ["ball"]}

@@ -192,7 +192,7 @@ def test_progress_shows_iteration_and_misfit(
 def test_no_progress_where_it_is_not_wanted(
     recording: Recording, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tactorch.progress._is_terminal", lambda: True)
+    monkeypatch.setattr("tactorch.progress.is_terminal", lambda _: True)
     invert_map(recording, Settings(GaussNewton(max_iterations=1)), show_progress=False)
     assert capfd.readouterr().err == ""
 

@@ -11,9 +11,10 @@ import pytest
 from tactorch.report import load_run
 from tactorch.report.assessment import assess
 from tactorch.report.content import RunReport
-from tactorch.report.live import PAGE, SCRIPT, LivePage, NextPress
+from tactorch.report.live import PAGE, SCRIPT, LivePage
+from tactorch.sampling import Patch
 
-NEXT = NextPress(np.array([5.0, 5.0, 10.0]), np.array([0.0, 0.0, -1.0]), 1.5)
+NEXT = Patch(np.array([5.0, 5.0, 10.0]), np.array([0.0, 0.0, -1.0]), 1.5)
 TEXTS = {"status": "1 presses", "headline": "Nothing yet", "finding": "", "next": ""}
 COLUMNS = ("press", "finding")
 

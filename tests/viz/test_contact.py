@@ -55,7 +55,7 @@ def test_no_force_means_no_contact(cube: TetMesh) -> None:
 def test_arrows_spread_over_the_contact_and_point_along_the_push(cube: TetMesh) -> None:
     (patch,) = contact_patches(cube, ["z+"])
     segments = cut_triangles(cube.points, patch.triangles, 0, 6.0)
-    tips, along = arrow_positions(segments, patch.direction, 0, 3)
+    tips, along = arrow_positions(segments, patch.direction, 0)
     np.testing.assert_allclose(along, [0.0, -1.0])
     np.testing.assert_allclose(np.sort(tips[:, 0]), [10 / 3, 10.0, 50 / 3], atol=1.3)
     np.testing.assert_allclose(tips[:, 1], 20.0)
@@ -64,7 +64,7 @@ def test_arrows_spread_over_the_contact_and_point_along_the_push(cube: TetMesh) 
 def test_push_across_the_slice_has_no_arrow(cube: TetMesh) -> None:
     (patch,) = contact_patches(cube, ["x-"])
     segments = cut_triangles(cube.points, cube.surface.triangles, 0, 6.0)
-    tips, _ = arrow_positions(segments, patch.direction, 0, 3)
+    tips, _ = arrow_positions(segments, patch.direction, 0)
     assert len(tips) == 0
 
 

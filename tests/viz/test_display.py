@@ -20,8 +20,7 @@ from tactorch.mesh import TetMesh, box_mesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Recording
 from tactorch.viz import convergence_figure
-from tactorch.viz.figures import make_figure
-from tactorch.viz.surface import surface_figure
+from tactorch.viz.figures import make_figure, surface_figure
 
 HISTORY = [
     {"iteration": i, "seconds": float(i), "misfit": 10.0**-i, "chi2": 4.0 - i} for i in range(3)

@@ -6,6 +6,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from tactorch.mesh import TetMesh
+from tactorch.sampling import Patch
 from tactorch.viz import save_figure
 from tactorch.viz.slices import live_figure
 
@@ -22,9 +23,7 @@ def test_the_next_press_is_drawn_where_it_is_and_the_inclusion_crossed(
         sphere_map,
         pressed=pressed,
         inclusion_mm=cube.bounds.mean(axis=0),
-        next_mm=place,
-        inward=np.array([-1.0, 0.0, 0.0]),
-        radius_mm=2.0,
+        next_press=Patch(place, np.array([-1.0, 0.0, 0.0]), 2.0),
     )
     path = save_figure(figure, tmp_path / "live.png")
     picture = imread(path)[..., :3]
@@ -37,9 +36,7 @@ def test_the_next_press_is_drawn_where_it_is_and_the_inclusion_crossed(
 def test_without_a_suggestion_there_is_one_row(
     cube: TetMesh, sphere_map: np.ndarray, following: bool
 ) -> None:
-    place = cube.bounds[1] if following else None
-    inward = np.array([0.0, 0.0, -1.0]) if following else None
-    figure = live_figure(
-        cube, sphere_map, pressed=np.zeros((cube.n_points, 3)), next_mm=place, inward=inward
-    )
+    place = Patch(cube.bounds[1], np.array([0.0, 0.0, -1.0]), 1.0) if following else None
+    pressed = np.zeros((cube.n_points, 3))
+    figure = live_figure(cube, sphere_map, pressed=pressed, next_press=place)
     assert len([axes for axes in figure.axes if axes.images]) == (6 if following else 3)

@@ -9,10 +9,9 @@ from matplotlib.image import imread
 from tactorch.errors import ConfigError
 from tactorch.mesh import box_mesh
 from tactorch.recording import MaterialSpec, Press, Recording
+from tactorch.viz import presses as drawing
 from tactorch.viz import save_figure
-from tactorch.viz import session as drawing
-from tactorch.viz.session import presses_figure
-from tactorch.viz.views import plane_across, push_direction
+from tactorch.viz.presses import plane_across, presses_figure, push_direction
 
 MESH = box_mesh(10.0, 3)
 TOP = MESH.points[:, 2] > 9.99

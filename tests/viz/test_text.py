@@ -13,7 +13,7 @@ from tactorch.text import MAX_NAME_LENGTH, one_line, printable
 from tactorch.viz import calibration_figure, convergence_figure, layer_figure, save_figure
 from tactorch.viz.figure import new_figure
 from tactorch.viz.learning import confusion_figure
-from tactorch.viz.session import presses_figure
+from tactorch.viz.presses import presses_figure
 
 HOSTILE = [
     r"$\frac{$",

@@ -35,7 +35,8 @@ from tactorch.sensor.chain import Measurement
 from tactorch.sensor.poses import Poses, read_poses
 from tactorch.sensor.recorder import ContactInterval, VirtualCube, record, record_streaming
 from tactorch.viz import save_figure
-from tactorch.viz.session import presses_figure, session_figure
+from tactorch.viz.presses import presses_figure
+from tactorch.viz.session import session_figure
 
 _TABLE, _PRESSES, _RECORDING = "session.csv", "presses.png", "recording.h5"
 _WITHOUT_MARKERS = (
