@@ -19,15 +19,12 @@ SIZE = 3  # unknowns of a node
 class BlockMatrix:
     """A symmetric sparse matrix of 3 x 3 blocks, of which those of the upper triangle are stored.
 
-    Attributes:
-        indptr: Begin of each row of blocks, which is its diagonal block, and the end of the last.
-        indices: Column of each block.
-        values: Entries of the blocks, row by row.
+    Each row of blocks begins with its diagonal block.
     """
 
-    indptr: Int[np.ndarray, " rows_1"]
-    indices: Int[np.ndarray, " blocks"]
-    values: Float[np.ndarray, " entries"]
+    indptr: Int[np.ndarray, " rows_1"]  # begin of each row, and the end of the last
+    indices: Int[np.ndarray, " blocks"]  # columns
+    values: Float[np.ndarray, " entries"]  # of the blocks, row by row
 
     @staticmethod
     def of(matrix: sp.bsr_matrix) -> "BlockMatrix":

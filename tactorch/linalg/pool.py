@@ -4,10 +4,12 @@ import threading
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.linalg.conjugate_gradients import conjugate_gradients
 from tactorch.linalg.pattern import SymmetricPattern
 from tactorch.linalg.solver import SOLVERS, CoarseSpaces, Solver, SolverOptions
 
@@ -64,6 +66,25 @@ class Lease:
         if self._solver is None:
             raise RuntimeError("the factorisation was transferred; factor again before solving")
         return self._solver.solve(rhs, rtol)
+
+    def solve_similar(
+        self,
+        values: Float[np.ndarray, " nnz"],
+        rhs: Float[np.ndarray, "size *k"],
+        rtol: float,
+        max_iterations: int,
+    ) -> Float[np.ndarray, "size *k"] | None:
+        """Solve with another matrix by conjugate gradients, which the factorisation preconditions.
+
+        None without a factorisation that is cheap to solve with, and without convergence.
+        """
+        if self.factored is None or not self.direct:
+            return None
+        result = conjugate_gradients(
+            partial(self._pool.pattern.product, values), self.solve, rhs,
+            rtol=rtol, max_iterations=max_iterations,
+        )  # fmt: skip
+        return result.solution if result.converged else None
 
 
 class SharedLease:
