@@ -24,9 +24,6 @@ class HeightField:
     Its smoothing is the one that predicts points best that are left out. Beyond the points the
     height is that of the nearest.
 
-    Args:
-        points_mm: Points of the surface.
-
     Raises:
         MeshError: there are fewer than ten points, or they are in line.
     """
@@ -73,8 +70,7 @@ class HeightField:
         distance = np.linalg.norm(apart, axis=1, keepdims=True)
         share = np.minimum(1.0, self._unit / np.maximum(distance, 1e-300))
         at = self._points[nearest, :2] + share * apart
-        height: np.ndarray = self._plate(at / self._unit)
-        return height
+        return np.asarray(self._plate(at / self._unit))
 
     @property
     def bounds_mm(self) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
@@ -83,13 +79,7 @@ class HeightField:
 
 
 class Block(NamedTuple):
-    """A block below a surface.
-
-    Attributes:
-        mesh: The mesh.
-        bottom: Its lowest nodes.
-        sides: The nodes of its sides.
-    """
+    """A block below a surface, and the nodes of its bottom and of its sides."""
 
     mesh: TetMesh
     bottom: np.ndarray
@@ -139,5 +129,4 @@ def _layers(height: float, edge: float) -> Float[np.ndarray, " k"]:
     while sum(thickness) < height:
         thickness.append(_GROWTH * thickness[-1])
     depths = np.concatenate([[0.0], np.cumsum(thickness)])
-    result: np.ndarray = depths / depths[-1]
-    return result
+    return np.asarray(depths / depths[-1])
