@@ -197,15 +197,10 @@ class Discretisation:
     @cached_property
     def _node_pattern(self) -> SymmetricPattern:
         """Sparsity of the tangent by nodes."""
-        first, second = self._local_pairs
+        first, second = np.triu_indices(self.nodes.shape[1])
         return SymmetricPattern.from_pairs(
             self.n_nodes, self.nodes[:, first], self.nodes[:, second]
         )
-
-    @property
-    def _local_pairs(self) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
-        """Pairs of nodes of an element, in the order of `entry_rows_cols`."""
-        return np.triu_indices(self.nodes.shape[1])
 
     @cached_property
     def pattern(self) -> SymmetricPattern:
@@ -217,7 +212,7 @@ class Discretisation:
         """Stored entry of the pattern for each element entry."""
         # Pairs of nodes, not of unknowns, are searched: there are nine times fewer.
         nodes = self.nodes.T.astype(np.int32)
-        first, second = (nodes[pair] for pair in self._local_pairs)
+        first, second = (nodes[pair] for pair in np.triu_indices(len(nodes)))
         low, swapped = np.minimum(first, second), second < first
         pattern, rows, cols = self._node_pattern, *self.entry_rows_cols
         places = 3 * (pattern.slots(first, second) - pattern.indptr[low])

@@ -137,14 +137,11 @@ class SolverPool:
         self.pattern = pattern
         options: SolverOptions = SOLVERS.build(solver)
         self.options = options.resolve(pattern.size)
+        #: Whether there are solvers that factor faster, to about four digits.
+        self.has_single_precision = self.options.has_single_precision
         self._coarse = coarse
         self._idle: dict[bool, list[Solver]] = {False: [], True: []}
         self._lock = threading.RLock()  # a finalizer may run in the thread that has the lock
-
-    @property
-    def has_single_precision(self) -> bool:
-        """Whether there are solvers that factor faster, to about four digits."""
-        return self.options.has_single_precision
 
     def lease(self, single_precision: bool = False) -> Lease:
         """Lend a solver, in single precision if wanted and supported."""

@@ -34,8 +34,10 @@ class HeightField:
                 f"A surface by {len(points_mm)} points is not known; at least {_MIN_POINTS} are "
                 "needed."
             )
-        self._low, self._high = points_mm[:, :2].min(axis=0), points_mm[:, :2].max(axis=0)
-        area = float(np.prod(self._high - self._low))
+        low, high = points_mm[:, :2].min(axis=0), points_mm[:, :2].max(axis=0)
+        #: Lowest and highest x and y of the points, mm.
+        self.bounds_mm = low, high
+        area = float(np.prod(high - low))
         spread = np.linalg.svd(points_mm[:, :2] - points_mm[:, :2].mean(axis=0), compute_uv=False)
         if spread[1] < 1e-3 * spread[0]:
             raise MeshError("The points of the surface are in line; give some that span an area.")
@@ -71,11 +73,6 @@ class HeightField:
         share = np.minimum(1.0, self._unit / np.maximum(distance, 1e-300))
         at = self._points[nearest, :2] + share * apart
         return np.asarray(self._plate(at / self._unit))
-
-    @property
-    def bounds_mm(self) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-        """Lowest and highest x and y of the points, mm."""
-        return self._low, self._high
 
 
 class Block(NamedTuple):

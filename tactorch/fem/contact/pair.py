@@ -27,10 +27,9 @@ class CoupledDiscretisation(Discretisation):
 
     @cached_property
     def _node_pattern(self) -> SymmetricPattern:
-        first, second = self._local_pairs
-        a, b = np.triu_indices(self.coupled.shape[1])
-        rows = np.concatenate([self.nodes[:, first].ravel(), self.coupled[:, a].ravel()])
-        cols = np.concatenate([self.nodes[:, second].ravel(), self.coupled[:, b].ravel()])
+        groups = self.nodes, self.coupled
+        pairs = [group.T[np.array(np.triu_indices(group.shape[1]))] for group in groups]
+        rows, cols = np.concatenate([pair.reshape(2, -1) for pair in pairs], axis=1)
         return SymmetricPattern.from_pairs(self.n_nodes, rows, cols)
 
 
