@@ -144,8 +144,7 @@ class Discretisation:
         if not self.element.quadratic:
             return sp.identity(n, format="csr")
         loaded = LoadedSurface.of(self.mesh.surface, values)
-        triangles, areas = loaded.triangles, loaded.areas
-        around = np.bincount(triangles.ravel(), np.repeat(areas, 3), minlength=n)
+        triangles, areas, around = loaded.triangles, loaded.areas, loaded.areas_around
         unchanged = np.flatnonzero(around == 0)
         rows, cols, fractions = [unchanged], [unchanged], [np.ones(len(unchanged))]
         for corner, other in ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)):

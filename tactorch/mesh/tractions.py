@@ -38,6 +38,12 @@ class LoadedSurface:
         return np.unique(self.triangles)
 
     @cached_property
+    def areas_around(self) -> Float[np.ndarray, " n"]:
+        """Area of the loaded triangles at each node, mm^2."""
+        around = np.bincount(self.triangles.ravel(), np.repeat(self.areas, 3), self.n_points)
+        return around.astype(np.float64)  # integers where nothing is loaded
+
+    @cached_property
     def mass(self) -> sp.csr_matrix:
         """Integrals of the products of hat functions over the loaded triangles, mm^2."""
         return self.assemble(self.areas[:, None, None] * (np.ones((3, 3)) + np.eye(3)) / 12.0)
