@@ -17,11 +17,11 @@ import numpy as np
 from tactorch.cli.console import Table, log, log_text, progress
 from tactorch.cli.settings import CommandOptions, UnitCheck
 from tactorch.config import option
-from tactorch.errors import ConfigError, FileError, MeshError
+from tactorch.errors import ConfigError, FileError
 from tactorch.mesh import TetMesh, read_surface, tetrahedralize, write_mesh
-from tactorch.mesh.edge_length import edge_lengths, mean_ratios
+from tactorch.mesh.edge_length import mean_ratios
 from tactorch.mesh.geometry import bounding_diagonal, enclosed_volume
-from tactorch.mesh.io import MESH_SUFFIXES, PLAUSIBLE_MM
+from tactorch.mesh.io import MESH_SUFFIXES, PLAUSIBLE_MM, naming
 from tactorch.mesh.solids import solid_surface
 from tactorch.mesh.values import Points, Triangles
 
@@ -88,14 +88,12 @@ def _read(options: MeshOptions) -> tuple[Points, Triangles]:
             f"{' x '.join(f'{size:.3g}' for size in np.ptp(points, axis=0))} mm; choose a smaller"
             " one, and check unit."
         )
-    try:
+    with naming(options.surface):
         return solid_surface(points, faces, largest=options.largest)
-    except MeshError as error:
-        raise MeshError(f"'{options.surface}': {error}") from error
 
 
 def _describe(mesh: TetMesh, target_mm: float, triangles: int, volume: float) -> None:
-    lengths, quality = edge_lengths(mesh), mean_ratios(mesh)
+    lengths, quality = mesh.edge_lengths, mean_ratios(mesh)
     low, median, high = np.percentile(lengths, (5, 50, 95))
     rows = [
         ("surface", f"{triangles} triangles, {volume:.4g} mm^3"),

@@ -212,7 +212,5 @@ class Assembly:
 def positive_part(blocks: Float[np.ndarray, "m k k"]) -> Float[np.ndarray, "m k k"]:
     """Return symmetric matrices with their negative eigenvalues set to zero."""
     eigenvalues, vectors = np.linalg.eigh(blocks)
-    positive: np.ndarray = (vectors * np.maximum(eigenvalues, 0.0)[:, None, :]) @ vectors.swapaxes(
-        1, 2
-    )
-    return positive
+    scaled = vectors * np.maximum(eigenvalues, 0.0)[:, None, :]
+    return np.asarray(scaled @ vectors.swapaxes(1, 2))

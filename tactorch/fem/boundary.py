@@ -56,15 +56,11 @@ def area_vectors(
 
 def to_nodes(discretisation: Discretisation, triangles: np.ndarray, totals: Tensor) -> Forces:
     """Return the consistent nodal forces of the total force of each triangle."""
-    at_vertex, at_midside = discretisation.element.surface_rule
+    nodes = discretisation.surface_nodes(triangles).T  # vertices, then midsides
+    shares = np.repeat(discretisation.element.surface_rule, 3)[: len(nodes)]
+    forces = torch.from_numpy(shares)[:, None, None] * totals
     out = torch.zeros(discretisation.n_nodes, 3, dtype=torch.float64)
-    for vertices in triangles.T:
-        out = out.index_add(0, torch.tensor(vertices), at_vertex * totals)
-    if at_midside:
-        for first, second in zip(triangles.T, np.roll(triangles, -1, axis=1).T, strict=True):
-            midsides = torch.from_numpy(discretisation.midside(first, second))
-            out = out.index_add(0, midsides, at_midside * totals)
-    return out
+    return out.index_add(0, torch.tensor(nodes.ravel()), forces.reshape(-1, 3))
 
 
 @dataclass(frozen=True, eq=False)

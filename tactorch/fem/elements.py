@@ -18,8 +18,6 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from tactorch.config import Registry
-from tactorch.errors import ConfigError
-from tactorch.fem.kernels import entry_slots
 from tactorch.linalg import SymmetricPattern
 from tactorch.mesh import TetMesh
 from tactorch.mesh.topology import LOCAL_EDGES
@@ -122,7 +120,7 @@ class Discretisation:
         On quadratic elements they are those of the traction that the forces stand for; see
         `tactorch.mesh.tractions`. Values at all nodes are returned as they are.
         """
-        if self._is_complete(forces):
+        if len(forces) == self.n_nodes:
             return forces
         return ConsistentLoads.of(self, forces).apply(forces)
 
@@ -131,21 +129,9 @@ class Discretisation:
 
         See `distribution_matrix`. Values at all nodes are returned as they are.
         """
-        if self._is_complete(values):
+        if len(values) == self.n_nodes:
             return values
         return self.distribution_matrix(values) @ values
-
-    def _is_complete(self, values: Float[np.ndarray, "k 3"]) -> bool:
-        """Whether a field is given at all nodes; always so on linear elements."""
-        if values.shape == (self.n_nodes, 3):
-            return True
-        n = self.mesh.n_points
-        if values.shape != (n, 3):
-            raise ConfigError(
-                f"a nodal field has shape {values.shape}; expected ({n}, 3), one row per mesh node "
-                f"(or all {self.n_nodes} element nodes)."
-            )
-        return False
 
     def distribution_matrix(self, values: Float[np.ndarray, "k 3"]) -> sp.csr_matrix:
         """Return the matrix of `distributed` for these loaded vertices, (nodes, k).
@@ -158,8 +144,7 @@ class Discretisation:
         if not self.element.quadratic:
             return sp.identity(n, format="csr")
         loaded = LoadedSurface.of(self.mesh.surface, values)
-        triangles, areas = loaded.triangles, loaded.areas
-        around = np.bincount(triangles.ravel(), np.repeat(areas, 3), minlength=n)
+        triangles, areas, around = loaded.triangles, loaded.areas, loaded.areas_around
         unchanged = np.flatnonzero(around == 0)
         rows, cols, fractions = [unchanged], [unchanged], [np.ones(len(unchanged))]
         for corner, other in ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)):
@@ -211,15 +196,10 @@ class Discretisation:
     @cached_property
     def _node_pattern(self) -> SymmetricPattern:
         """Sparsity of the tangent by nodes."""
-        first, second = self._local_pairs
+        first, second = np.triu_indices(self.nodes.shape[1])
         return SymmetricPattern.from_pairs(
             self.n_nodes, self.nodes[:, first], self.nodes[:, second]
         )
-
-    @property
-    def _local_pairs(self) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
-        """Pairs of nodes of an element, in the order of `entry_rows_cols`."""
-        return np.triu_indices(self.nodes.shape[1])
 
     @cached_property
     def pattern(self) -> SymmetricPattern:
@@ -230,18 +210,18 @@ class Discretisation:
     def slots(self) -> Int[np.ndarray, "m entries"]:
         """Stored entry of the pattern for each element entry."""
         # Pairs of nodes, not of unknowns, are searched: there are nine times fewer.
-        local, nodes = self._local_pairs, self._node_pattern
-        first, second = (self.nodes[:, pair].astype(np.int32) for pair in local)
-        places = 3 * (nodes.slots(first, second) - nodes.indptr[np.minimum(first, second)])
-        rows, cols = self.entry_rows_cols
-        k = self.nodes.shape[1]
-        pair = np.searchsorted(local[0] * k + local[1], rows // 3 * k + cols // 3)
-        slots = np.empty((len(self.nodes), len(pair)), dtype=np.int32)
-        entry_slots(
-            self.pattern.indptr, first, second, places.astype(np.int32), pair, rows % 3, cols % 3,
-            slots,
-        )  # fmt: skip
-        return slots
+        nodes = self.nodes.T.astype(np.int32)
+        first, second = (nodes[pair] for pair in np.triu_indices(len(nodes)))
+        low, swapped = np.minimum(first, second), second < first
+        pattern, rows, cols = self._node_pattern, *self.entry_rows_cols
+        places = 3 * (pattern.slots(first, second) - pattern.indptr[low])
+        # Entries of a pair follow each other.
+        pair = np.cumsum(np.diff(rows // 3 * len(rows) + cols // 3, prepend=0) != 0)
+        slots = np.empty((len(rows), len(self.nodes)), dtype=np.int32)
+        for out, p, i, j in zip(slots, pair, rows % 3, cols % 3, strict=True):
+            turn = (i - j) * swapped[p]  # the row is that of the lower node
+            out[:] = self.pattern.indptr[3 * low[p] + i - turn] + places[p] + (j - i + 2 * turn)
+        return np.ascontiguousarray(slots.T)
 
     @cached_property
     def from_linear(self) -> sp.csr_matrix | None:
@@ -282,15 +262,10 @@ class Discretisation:
 
 @dataclass(frozen=True, eq=False)
 class ConsistentLoads:
-    """Map from nodal forces of linear elements to the loads of quadratic ones.
+    """Map from nodal forces of linear elements to the loads of quadratic ones."""
 
-    Attributes:
-        surface: Loaded part of the surface.
-        loads: Loads of all nodes by the traction at the vertices, (nodes, n), mm^2.
-    """
-
-    surface: LoadedSurface
-    loads: sp.csr_matrix
+    surface: LoadedSurface  # where forces act
+    loads: sp.csr_matrix  # of all nodes by the traction at the vertices, (nodes, n), mm^2
 
     @staticmethod
     def of(discretisation: "Discretisation", forces: Float[np.ndarray, "n 3"]) -> "ConsistentLoads":

@@ -114,7 +114,7 @@ class Equilibrium(torch.autograd.Function):
         need = ctx.needs_input_grad
         cases: LoadCases = ctx.cases
         adjoint = AdjointSolve.apply(grad, u, youngs, poisson, points, probes, cases)
-        d_youngs = d_poisson = d_points = d_probes = None
+        d_youngs = None
         if need[0] and torch.is_grad_enabled():
             d_youngs = -reference.element_work(
                 cases.body, u, adjoint, poisson, points, per_point=youngs.ndim == 2
@@ -125,12 +125,10 @@ class Equilibrium(torch.autograd.Function):
             works = [case.linearization.unit_work(v) for case, v in pairs]
             d_youngs = -torch.from_numpy(np.sum(works, axis=0)).reshape(youngs.shape)
         state = (u, adjoint, youngs, poisson, points, probes)
-        if need[1]:
-            d_poisson = -torch.func.grad(cases.work, argnums=3)(*state)
-        if need[3]:
-            d_points = -torch.func.grad(cases.work, argnums=4)(*state)
-        if need[4]:
-            d_probes = -torch.func.grad(cases.work, argnums=5)(*state)
+        d_poisson, d_points, d_probes = (
+            -torch.func.grad(cases.work, argnums=argument)(*state) if needed else None
+            for argument, needed in ((3, need[1]), (4, need[3]), (5, need[4]))
+        )
         return d_youngs, d_poisson, adjoint if need[2] else None, d_points, d_probes, None
 
     @staticmethod

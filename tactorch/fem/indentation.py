@@ -91,25 +91,11 @@ class Indentation:
         deepest = np.array([place.deepest_mm for place in self.places])
         largest = np.minimum(contact_radius(deepest, self.balls_mm), _MAX_RATIO * self.balls_mm)
         self.radii_mm = largest[:, None] * np.array(_FRACTIONS)
-        self._wide_mm = self._wide_radii()
+        edge = float(np.sqrt(np.median(body.mesh.surface.areas) * 4.0 / np.sqrt(3.0)))
+        wide = _WIDE * np.maximum(self.radii_mm[:, 0], edge)
+        self._all_radii = np.column_stack([self.radii_mm, wide])
         self._loads, self.heights = self._profiles()
         self._unit = self._solve(np.ones(body.mesh.n_tets), self._loads)
-
-    @property
-    def n_profiles(self) -> int:
-        """Number of profiles of a place."""
-        return len(_FRACTIONS)
-
-    @property
-    def _all_radii(self) -> Float[np.ndarray, "places k"]:
-        """Radii of the profiles and of the wide one, mm."""
-        return np.column_stack([self.radii_mm, self._wide_mm])
-
-    def _wide_radii(self) -> Float[np.ndarray, " places"]:
-        """Radius of the wide profile of each place, mm."""
-        surface = self.body.mesh.surface
-        edge = float(np.sqrt(np.median(surface.areas) * 4.0 / np.sqrt(3.0)))
-        return _WIDE * np.maximum(self.radii_mm[:, 0], edge)
 
     def _profiles(self) -> tuple[sp.csr_matrix, Float[np.ndarray, "places k"]]:
         """Return the loads of all profiles, the wide ones last, and the heights."""
@@ -142,15 +128,14 @@ class Indentation:
         along = (apart * normals).sum(axis=-1)
         across = np.linalg.norm(apart - along[..., None] * normals, axis=-1)
         across = np.minimum(across, _MAX_RATIO * balls)
-        heights: np.ndarray = along + np.sqrt(balls**2 - across**2) - balls
-        return heights
+        return np.asarray(along + np.sqrt(balls**2 - across**2) - balls)
 
     def at(self, youngs: Float[np.ndarray, "m *q"]) -> "IndentedBody":
         """Return the compliance of all places at these moduli (MPa).
 
         A uniform body takes no solve.
         """
-        count = self.n_profiles * len(self.places)
+        count = len(_FRACTIONS) * len(self.places)
         if np.ptp(youngs) <= 1e-12 * youngs.max():
             fields = self._unit[:, :count] / np.float32(youngs.ravel()[0])
         else:
@@ -187,7 +172,8 @@ class Indentation:
         for a in range(k):
             loads = self._loads[a * count : (a + 1) * count]
             for b in range(k):
-                result[:, a, b] = _diagonal(loads, fields[:, b * count : (b + 1) * count])
+                moved = loads.multiply(fields[:, b * count : (b + 1) * count].T)
+                result[:, a, b] = np.asarray(moved.sum(axis=1)).ravel()
         return 0.5 * (result + result.swapaxes(1, 2))
 
     @cached_property
@@ -196,8 +182,7 @@ class Indentation:
         poisson = float(np.mean(self.body.assembly.poisson))
         exact = half_space_compliance(self._all_radii, poisson)
         difference = exact - self.compliance(self._unit)
-        missed: np.ndarray = difference[:, :-1, :-1] - difference[:, -1:, -1:]
-        return missed
+        return np.asarray(difference[:, :-1, :-1] - difference[:, -1:, -1:])
 
     @cached_property
     def shares(self) -> Float[np.ndarray, "m places"]:
@@ -206,10 +191,9 @@ class Indentation:
         They are proportional to the square of the energy of the narrowest profile, so that they are
         those of the elements at the contact.
         """
-        count, last = len(self.places), self.n_profiles - 1
+        count, last = len(self.places), len(_FRACTIONS) - 1
         narrowest = self._unit[:, last * count : (last + 1) * count]
-        everything = slice(0, self.body.mesh.n_tets)
-        energies = self.energies(narrowest, everything, per_point=False)[0]
+        energies = self.energies(narrowest, slice(None), per_point=False)[0]
         squares: np.ndarray = (energies / energies.max(axis=0)) ** 2
         return squares / squares.sum(axis=0)
 
@@ -237,15 +221,6 @@ class Indentation:
         return out
 
 
-def _diagonal(
-    rows: sp.csr_matrix, columns: Float[np.ndarray, "unknowns places"]
-) -> Float[np.ndarray, " places"]:
-    """Return the products of each row with the column of the same number."""
-    number = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr))
-    products = rows.data * columns[rows.indices, number]
-    return np.bincount(number, products, rows.shape[0])
-
-
 class IndentedBody:
     """The places at one map of moduli.
 
@@ -270,8 +245,7 @@ class IndentedBody:
         weights = self._indentation.body.assembly.weights
         if self.youngs.ndim == 1:
             return self.youngs
-        mean: np.ndarray = (self.youngs * weights).sum(axis=1) / weights.sum(axis=1)
-        return mean
+        return np.asarray((self.youngs * weights).sum(axis=1) / weights.sum(axis=1))
 
     def press(
         self, places: Int[np.ndarray, " s"], depths_mm: Float[np.ndarray, " s"]
@@ -291,8 +265,8 @@ class IndentedBody:
 
         There is a row for each pair of profiles and place; all places of a pair follow each other.
         """
-        indentation, k = self._indentation, self._indentation.n_profiles
-        rows = k * (k + 1) // 2 * len(indentation.places)
+        k = len(_FRACTIONS)
+        rows = k * (k + 1) // 2 * len(self._indentation.places)
         out = np.empty((rows, self.youngs.size), dtype=np.float32)
 
         def work(elements: slice, moduli: slice) -> None:
@@ -336,7 +310,7 @@ class IndentedBody:
     def _rates_of(self, elements: slice) -> Float[np.ndarray, "pairs moduli places"]:
         """Minus the derivatives of the compliance by the moduli of some elements."""
         indentation = self._indentation
-        rows, cols = np.triu_indices(indentation.n_profiles)
+        rows, cols = np.triu_indices(len(_FRACTIONS))
         per_point = self.youngs.ndim == 2
         rates = indentation.energies(self._fields, elements, per_point=per_point)
         softened = indentation.shares[elements] / self._by_element[elements, None] ** 2
@@ -358,8 +332,7 @@ def _terms(
     products = ratios[:, None, None] * rates[:, :, None] * c[:, None, :]
     both = products + products.swapaxes(1, 2)
     both[:, np.arange(k), np.arange(k)] *= 0.5
-    terms: np.ndarray = both[:, rows, cols]
-    return terms
+    return np.asarray(both[:, rows, cols])
 
 
 @dataclass(frozen=True, eq=False)

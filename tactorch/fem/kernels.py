@@ -332,27 +332,3 @@ def strain_energies(nodes, gradients, weights, lame, shear, fields, out):
                         sheared = a[3, c] * b[3, c] + a[4, c] * b[4, c] + a[5, c] * b[5, c]
                         target[c] += one * volume + two * (normal + normal + sheared)
                     p += 1
-
-
-@no_type_check
-@numba.njit(nogil=True, cache=True)
-def entry_slots(indptr, first, second, places, pair, row, col, slots):
-    """Fill the stored entry of each entry of the element matrices, (m, entries).
-
-    Args:
-        indptr: Start of each row of the pattern, whose blocks are of 3 x 3 unknowns.
-        first: First node of each pair of nodes of an element, (m, pairs).
-        second: Second node of each pair.
-        places: Columns from the diagonal block to that of the pair, in the row of the lower node.
-        pair: Pair of nodes of each entry, (entries,).
-        row: Component of the first node of each entry.
-        col: Component of the second node of each entry.
-        slots: Output.
-    """
-    for e in range(slots.shape[0]):
-        for k in range(slots.shape[1]):
-            p = pair[k]
-            low, i, j = first[e, p], row[k], col[k]
-            if second[e, p] < low:
-                low, i, j = second[e, p], col[k], row[k]
-            slots[e, k] = indptr[3 * low + i] + places[e, p] + j - i

@@ -5,8 +5,9 @@ serves every derivative: the adjoint and the directional derivative take one sol
 S du/de one solve per observed degree of freedom (eq. 10 to 14 of the paper).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,8 +17,6 @@ from jaxtyping import Bool, Float, Int
 from tactorch.errors import ConvergenceError
 from tactorch.fem import kernels, reference
 from tactorch.fem.assembly import Assembly, Response
-from tactorch.fem.reading_rates import ReadingRates
-from tactorch.linalg import SymmetricPattern, conjugate_gradients
 from tactorch.linalg.pool import Lease, SharedLease
 from tactorch.linalg.solver import IndefiniteError
 
@@ -39,7 +38,6 @@ class Linearization:
     response: Response  # at the displacement
     tangent: Float[np.ndarray, " nnz"]  # K, with the rows of fixed unknowns reduced to the diagonal
     fixed: Bool[np.ndarray, " size"]
-    pattern: SymmetricPattern  # of the tangent
     lease: Lease | SharedLease  # solver that factors K
     # Where positive: solutions are iterative, to this relative residual, preconditioned by the
     # factorisation of a nearby tangent that the lease has.
@@ -63,27 +61,16 @@ class Linearization:
             rhs = rhs.copy(order="K")
             rhs[self.fixed] = 0.0
         with self.lease.hold() as lease:
-            if self.rtol > 0.0 and (solution := self._iterate(lease, rhs)) is not None:
+            iterate = partial(lease.solve_similar, self.tangent, rhs, self.rtol, _MAX_ITERATIONS)
+            if self.rtol > 0.0 and (solution := iterate()) is not None:
                 return solution
             self._factor(lease)
-            if lease.single_precision and (solution := self._iterate(lease, rhs)) is not None:
+            if lease.single_precision and (solution := iterate()) is not None:
                 return solution
             try:
                 return lease.solve(rhs)
             except IndefiniteError as error:
                 raise ConvergenceError(_UNSTABLE) from error
-
-    def _iterate(
-        self, lease: Lease, rhs: Float[np.ndarray, "size *k"]
-    ) -> Float[np.ndarray, "size *k"] | None:
-        """Solve by conjugate gradients; None where a factorisation of K is better."""
-        if lease.factored is None or not lease.direct:
-            return None
-        result = conjugate_gradients(
-            lambda x: self.pattern.product(self.tangent, x), lease.solve, rhs,
-            rtol=self.rtol, max_iterations=_MAX_ITERATIONS,
-        )  # fmt: skip
-        return result.solution if result.converged else None
 
     def unit_work(self, fields: Float[np.ndarray, "size k"]) -> Float[np.ndarray, "moduli k"]:
         """Return the transpose of dR/de (eq. 11) times nodal fields."""
@@ -99,13 +86,6 @@ class Linearization:
         """Return du/de times a change of the moduli (MPa), mm."""
         forces = self.assembly.internal_force(self.response, change)
         return -self.solve(forces.ravel()).reshape(-1, 3)
-
-    def displacement_changes(
-        self, changes: Float[np.ndarray, "k moduli"]
-    ) -> list[Float[np.ndarray, "nodes 3"]]:
-        """Return du/de times several changes of the moduli (MPa), mm, by one solve."""
-        forces = [self.assembly.internal_force(self.response, change) for change in changes]
-        return [-field for field in self.force_response(np.array(forces))]
 
     def force_response(self, forces: Float[np.ndarray, "k nodes 3"]) -> list[np.ndarray]:
         """Return the displacement (nodes, 3) due to each of k changes of the forces (N), mm."""
@@ -159,6 +139,29 @@ class Linearization:
             by_u, by_youngs = torch.autograd.grad(along, (u, youngs))
         back = self.solve(by_u.numpy().ravel())
         return self.unit_work(back[:, None])[:, 0] - by_youngs.numpy().ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingRates:
+    """Derivatives of k data that are not displacements of nodes, at an equilibrium.
+
+    With the elastic forces f(u, e) of all nodes, d data / de is `by_displacement` du/de plus
+    `by_forces` df/de.
+    """
+
+    by_displacement: sp.csr_matrix  # of all nodes, the total one where elastic forces enter
+    by_forces: sp.csr_matrix  # of nodes whose displacement is prescribed
+
+    @staticmethod
+    def stack(rates: "Sequence[ReadingRates]") -> "ReadingRates":
+        """Return the derivatives of several data."""
+        first, second = zip(*((r.by_displacement, r.by_forces) for r in rates), strict=True)
+        return ReadingRates(sp.vstack(first, format="csr"), sp.vstack(second, format="csr"))
+
+    @staticmethod
+    def of_displacements(rows: sp.csr_matrix) -> "ReadingRates":
+        """Return the derivatives of data that are linear in the displacements."""
+        return ReadingRates(rows, sp.csr_matrix(rows.shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,14 +223,10 @@ class Sensitivity:
     ) -> tuple[Float[np.ndarray, "data k"], list[Float[np.ndarray, "nodes 3"]]]:
         """Return the changes of the data, and of the displacements, by changes of the moduli."""
         linear = self.linearization
-        fields = linear.displacement_changes(changes)
-        columns = np.empty((self.selection.shape[0], len(fields)))
-        for k, (field, change) in enumerate(zip(fields, changes, strict=True)):
-            force = None
-            if self._direct is not None:
-                force = linear.assembly.internal_force(linear.response, change)
-            columns[:, k] = self.observe(field, force)
-        return columns, fields
+        forces = [linear.assembly.internal_force(linear.response, change) for change in changes]
+        fields = [-field for field in linear.force_response(np.array(forces))]
+        data = [self.observe(*pair) for pair in zip(fields, forces, strict=True)]
+        return np.reshape(data, (len(changes), self.selection.shape[0])).T, fields
 
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " moduli"]:
         """Return the transposed derivative times weights of the data: the gradient (eq. 12)."""

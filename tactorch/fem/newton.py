@@ -18,7 +18,7 @@ from tactorch.fem.boundary import CaseSupports
 from tactorch.fem.contact import Contact
 from tactorch.fem.contact.pair import PairContact
 from tactorch.fem.linearization import Linearization
-from tactorch.linalg import SolverPool, conjugate_gradients
+from tactorch.linalg import SolverPool
 from tactorch.linalg.dense import column_rank, dot
 from tactorch.linalg.pool import Lease, SharedLease
 from tactorch.linalg.solver import IndefiniteError
@@ -139,7 +139,7 @@ class Newton:
         tangent = self._tangent(result.response, result.displacement, 1.0)
         values = self.pattern.apply_dirichlet(tangent, self._fixed)
         state = (self.assembly, self.youngs, result.displacement, result.response)
-        return Linearization(*state, values, self._fixed, self.pattern, self._lease, rtol)
+        return Linearization(*state, values, self._fixed, self._lease, rtol)
 
     def support_forces(self, result: EquilibriumResult) -> Float[np.ndarray, "nodes 3"]:
         """Return the forces of the fixed supports on the body at an equilibrium, N."""
@@ -322,27 +322,15 @@ class Newton:
 
         None where a factorisation in double precision is better: the matrix has changed too much.
         """
-        if lease.factored is not None and lease.direct and rtol > 0.0:
-            step = self._conjugate_gradients(lease, matrix, rhs, rtol)
-            if step is not None:
-                return step
-        if self._allow_single_precision and lease.single_precision:
+        step = None
+        if rtol > 0.0:
+            step = lease.solve_similar(matrix, rhs, rtol, _MAX_CG_ITERATIONS)
+        if step is None and self._allow_single_precision and lease.single_precision:
             if lease.factor(matrix):
-                step = self._conjugate_gradients(lease, matrix, rhs, rtol or _MIN_STEP_RTOL)
-                if step is not None:
-                    return step
-            self._allow_single_precision = False
-        return None
-
-    def _conjugate_gradients(
-        self, lease: Lease, matrix: np.ndarray, rhs: np.ndarray, rtol: float
-    ) -> np.ndarray | None:
-        """Solve with a factorisation as the preconditioner; None without convergence."""
-        result = conjugate_gradients(
-            lambda x: self.pattern.product(matrix, x), lease.solve, rhs,
-            rtol=rtol, max_iterations=_MAX_CG_ITERATIONS,
-        )  # fmt: skip
-        return result.solution if result.converged else None
+                goal = rtol or _MIN_STEP_RTOL
+                step = lease.solve_similar(matrix, rhs, goal, _MAX_CG_ITERATIONS)
+            self._allow_single_precision = step is not None
+        return step
 
     def _use_double_precision(self) -> None:
         """Factor in double precision from here on."""

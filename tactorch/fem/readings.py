@@ -14,8 +14,8 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError
 from tactorch.fem.elements import Discretisation
+from tactorch.fem.linearization import ReadingRates
 from tactorch.fem.newton import EquilibriumResult, Newton
-from tactorch.fem.reading_rates import ReadingRates
 from tactorch.mesh.closest import Closest, closest_points
 
 _MAX_DISTANCE = 0.05  # of a datum from the surface, over the size of the body
@@ -29,17 +29,8 @@ def surface_rows(
 ) -> sp.csr_matrix:
     """Return the map from nodal displacements to those along directions at surface points.
 
-    Args:
-        discretisation: The body.
-        points_mm: Rest positions; the nearest points of the surface are taken.
-        directions: Direction of each datum.
-        closest: The nearest points, where they are known already.
-
-    Returns:
-        Matrix (k, unknowns).
-
-    Raises:
-        ConfigError: a point is far from the surface.
+    The points of the surface are those nearest to the given ones, `closest` where they are known
+    already. A `ConfigError` names one that is far from the surface.
     """
     mesh, surface = discretisation.mesh, discretisation.mesh.surface
     closest = closest or closest_points(mesh.points, surface.triangles, points_mm)
@@ -62,20 +53,14 @@ def surface_rows(
 class Wrench:
     """Components of the force and moment on a probe, or on the support that is moved.
 
-    Attributes:
-        axes: Components; each row has the weights of force (N) and moment (N mm).
-        about_mm: Point of the moment.
+    A `ConfigError` is raised where there is no probe and no support is moved.
     """
 
-    axes: Float[np.ndarray, "k 6"]
-    about_mm: Float[np.ndarray, "3"]
+    axes: Float[np.ndarray, "k 6"]  # each row has the weights of force (N) and moment (N mm)
+    about_mm: Float[np.ndarray, "3"]  # point of the moment
 
     def value(self, search: Newton, result: EquilibriumResult) -> Float[np.ndarray, " k"]:
-        """Return the components at an equilibrium.
-
-        Raises:
-            ConfigError: there is no probe, and no support is moved.
-        """
+        """Return the components at an equilibrium."""
         if search.contact is not None:
             forces = search.contact.at(result.displacement).forces
         else:
@@ -119,8 +104,7 @@ class Wrench:
         positions = search.assembly.discretisation.extend(search.assembly.points)
         arms = positions + result.displacement - self.about_mm
         turns = np.cross(self.axes[:, None, 3:], arms[None])
-        weights: np.ndarray = (self.axes[:, None, :3] + turns).reshape(len(self.axes), -1)
-        return weights
+        return np.asarray((self.axes[:, None, :3] + turns).reshape(len(self.axes), -1))
 
     def _moved(self, search: Newton) -> Bool[np.ndarray, "nodes 3"]:
         moved = (search.supports.prescribed != 0.0).any(axis=1)

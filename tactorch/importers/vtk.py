@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tactorch.config import option
-from tactorch.errors import FileError, MeshError
+from tactorch.errors import FileError
 from tactorch.importers.loads import consistent_loads, pressure_loads
 from tactorch.importers.points import PointData, PointOptions
 from tactorch.importers.press_files import press_files
@@ -24,6 +24,7 @@ from tactorch.importers.vtk_files import SUFFIXES, VtkFile, read_vtk
 from tactorch.mesh import TetMesh, compact, read_mesh
 from tactorch.mesh.closest import closest_points
 from tactorch.mesh.geometry import area_vectors
+from tactorch.mesh.io import naming
 from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
@@ -76,10 +77,8 @@ class VtkOptions(PointOptions):
             raise FileError(
                 f"'{file.path}' has no tetrahedra; give the mesh of the object by format.mesh."
             )
-        try:
+        with naming(file.path):
             return TetMesh.create(*compact(self._points(file), file.tets)[:2])
-        except MeshError as error:
-            raise MeshError(f"'{file.path}': {error}") from error
 
     def _points(self, file: VtkFile) -> Float[np.ndarray, "n 3"]:
         """Return the rest positions, mm."""
@@ -150,11 +149,9 @@ class VtkOptions(PointOptions):
         """Return the outward boundary triangles of tetrahedra, else the triangles of the file."""
         if not len(file.tets):
             return file.triangles
-        try:
+        with naming(file.path):
             nodes, tets, used = compact(points, file.tets)
             return np.asarray(used[TetMesh.create(nodes, tets).surface.triangles])
-        except MeshError as error:
-            raise MeshError(f"'{file.path}': {error}") from error
 
     def _stresses(
         self,

@@ -13,22 +13,18 @@ from jaxtyping import Float, Int
 
 Real = np.float32  # the time of a product is that of reading the matrix
 SIZE = 3  # unknowns of a node
-_OPTIONS = {"nogil": True, "cache": True, "fastmath": {"reassoc", "contract"}}
 
 
 @dataclass(frozen=True, eq=False)
 class BlockMatrix:
     """A symmetric sparse matrix of 3 x 3 blocks, of which those of the upper triangle are stored.
 
-    Attributes:
-        indptr: Begin of each row of blocks, which is its diagonal block, and the end of the last.
-        indices: Column of each block.
-        values: Entries of the blocks, row by row.
+    Each row of blocks begins with its diagonal block.
     """
 
-    indptr: Int[np.ndarray, " rows_1"]
-    indices: Int[np.ndarray, " blocks"]
-    values: Float[np.ndarray, " entries"]
+    indptr: Int[np.ndarray, " rows_1"]  # begin of each row, and the end of the last
+    indices: Int[np.ndarray, " blocks"]  # columns
+    values: Float[np.ndarray, " entries"]  # of the blocks, row by row
 
     @staticmethod
     def of(matrix: sp.bsr_matrix) -> "BlockMatrix":
@@ -47,17 +43,14 @@ class BlockMatrix:
         return out
 
 
-def times_diagonal(
-    blocks: Float[np.ndarray, "rows 3 3"], x: Float[np.ndarray, " size"]
-) -> Float[np.ndarray, " size"]:
-    """Return the product of a block-diagonal matrix with a vector, both in single precision."""
-    out = np.empty_like(x)
-    _times_diagonal(blocks, x, out)
-    return out
+def diagonal_blocks(matrix: sp.bsr_matrix) -> Float[np.ndarray, "rows b b"]:
+    """Return the blocks on the diagonal of a matrix that has them all."""
+    rows = np.repeat(np.arange(len(matrix.indptr) - 1), np.diff(matrix.indptr))
+    return np.asarray(matrix.data[rows == matrix.indices])
 
 
 @no_type_check
-@numba.njit(**_OPTIONS)
+@numba.njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
 def _product(indptr, indices, values, x, out):
     """Add the product to `out`; each block above the diagonal is read once for both triangles."""
     for i in range(indptr.shape[0] - 1):
@@ -81,13 +74,3 @@ def _product(indptr, indices, values, x, out):
         out[i3] += a
         out[i3 + 1] += b
         out[i3 + 2] += c
-
-
-@no_type_check
-@numba.njit(**_OPTIONS)
-def _times_diagonal(blocks, x, out):
-    for i in range(blocks.shape[0]):
-        x0, x1, x2 = x[3 * i], x[3 * i + 1], x[3 * i + 2]
-        for row in range(3):
-            d = blocks[i, row]
-            out[3 * i + row] = d[0] * x0 + d[1] * x1 + d[2] * x2

@@ -5,9 +5,7 @@ takes five to ten times as long.
 """
 
 from dataclasses import dataclass
-from typing import no_type_check
 
-import numba
 import numpy as np
 import scipy.sparse as sp
 import torch
@@ -19,16 +17,7 @@ def dot(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> float:
     """Return the scalar product of two vectors."""
     if a.shape != b.shape:
         raise ValueError(f"vectors of {a.shape} and {b.shape} have no scalar product")
-    return float(_dot(a, b))
-
-
-@no_type_check
-@numba.njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
-def _dot(a, b):
-    total = 0.0
-    for i in range(a.shape[0]):
-        total += a[i] * b[i]
-    return total
+    return float(np.einsum("i,i", a, b))
 
 
 def column_rank(columns: Float[np.ndarray, "n k"], tolerance: float) -> int:

@@ -19,10 +19,9 @@ from torch import Tensor
 
 from tactorch.config import option
 from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.linalg.blocks import SIZE, diagonal_blocks
 from tactorch.linalg.conjugate_gradients import conjugate_gradients
 from tactorch.linalg.solver import SOLVERS, IndefiniteError, Solver, SolverOptions
-
-_BLOCK = 3  # unknowns of a node
 
 
 class IterativeSolver(Solver):
@@ -52,6 +51,12 @@ class IterativeSolver(Solver):
         return result.solution
 
 
+def by_columns(solve: Callable[[np.ndarray], np.ndarray], rhs: np.ndarray) -> np.ndarray:
+    """Return the solutions for one or many right-hand sides, one after the other."""
+    columns = np.array(rhs.reshape(len(rhs), -1).T, dtype=np.float64, order="C")
+    return np.stack([solve(column) for column in columns], axis=1).reshape(rhs.shape)
+
+
 def fixed_unknowns(matrix: sp.csr_matrix) -> Bool[np.ndarray, " size"]:
     """Return the unknowns whose rows have a diagonal entry only."""
     sums = np.asarray(abs(matrix).sum(axis=1)).ravel()
@@ -72,7 +77,7 @@ class MultigridSolver(IterativeSolver):
         block = full.tobsr((3, 3)) if self.pattern.size % 3 == 0 else full
         options: dict[str, Any] = {}
         if self.near_nullspace is not None:
-            options["B"] = self._constrained_modes(self.near_nullspace)
+            options["B"] = np.where(fixed_unknowns(full)[:, None], 0.0, self.near_nullspace)
         if self._aggregates:
             options["aggregate"] = [("predefined", {"AggOp": a}) for a in self._aggregates]
             options["max_levels"] = len(self._aggregates) + 1
@@ -84,15 +89,9 @@ class MultigridSolver(IterativeSolver):
         self._preconditioner = hierarchy.aspreconditioner(cycle="V")
         return True
 
-    def _constrained_modes(self, modes: np.ndarray) -> np.ndarray:
-        """Modes with the fixed unknowns (rows with a diagonal entry only) set to zero."""
-        return np.where(fixed_unknowns(self._matrix)[:, None], 0.0, modes)
-
     def _solve(self, rhs: np.ndarray, rtol: float) -> np.ndarray:
-        if rhs.ndim > 1:
-            return np.stack([self._solve(np.ascontiguousarray(b), rtol) for b in rhs.T], axis=1)
-        product, rhs = self._matrix.__matmul__, rhs.astype(np.float64)
-        return self._iterate(product, lambda r: self._preconditioner @ r, rhs, rtol)
+        product, precondition = self._matrix.__matmul__, self._preconditioner.__matmul__
+        return by_columns(lambda b: self._iterate(product, precondition, b, rtol), rhs)
 
 
 @dataclass(frozen=True)
@@ -126,11 +125,9 @@ class TorchCGSolver(IterativeSolver):
         self._device = torch.device(device)
 
     def _factor(self, values: np.ndarray) -> bool:
-        full, size = self.pattern.full(values), self.pattern.size
-        block = _BLOCK if size % _BLOCK == 0 else 1
-        unknowns = np.arange(size).reshape(-1, block, 1) + np.zeros(block, dtype=int)
-        others = unknowns.swapaxes(1, 2)
-        blocks = np.asarray(full[unknowns.ravel(), others.ravel()]).reshape(unknowns.shape)
+        full = self.pattern.full(values)
+        size = SIZE if self.pattern.size % SIZE == 0 else 1
+        blocks = diagonal_blocks(full.tobsr((size, size)))
         factors, info = torch.linalg.cholesky_ex(torch.from_numpy(blocks).to(self._device))
         if bool(info.any()):  # a diagonal block is indefinite
             return False

@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float
 
 from tactorch.config import option
-from tactorch.linalg.blocks import SIZE, BlockMatrix, Real, times_diagonal
+from tactorch.linalg.blocks import SIZE, BlockMatrix, Real, diagonal_blocks
 from tactorch.linalg.conjugate_gradients import conjugate_gradients
-from tactorch.linalg.iterative import IterativeSolver, fixed_unknowns
+from tactorch.linalg.iterative import IterativeSolver, by_columns, fixed_unknowns
 from tactorch.linalg.pattern import SymmetricPattern
 from tactorch.linalg.solver import IndefiniteError, Solver, SolverOptions, analyse
 
@@ -32,8 +31,8 @@ _STALE_ITERATIONS = 4.0  # with the cycle of another matrix, for each digit and 
 class _Smoother:
     """Chebyshev polynomial of a matrix with the inverse of its diagonal blocks."""
 
-    matrix: BlockMatrix | sp.csr_matrix
-    inverse: Float[np.ndarray, "blocks b b"]
+    matrix: BlockMatrix | sp.bsr_matrix
+    inverse: BlockMatrix | sp.bsr_matrix  # of the diagonal blocks
     largest: float
 
     @staticmethod
@@ -42,24 +41,20 @@ class _Smoother:
         size = SIZE if matrix.shape[0] % SIZE == 0 else 1
         blocks = matrix.tobsr((size, size))
         blocks.sort_indices()
-        rows = np.repeat(np.arange(len(blocks.indptr) - 1), np.diff(blocks.indptr))
-        diagonal = blocks.data[rows == blocks.indices]
+        diagonal = diagonal_blocks(blocks)
         if not np.linalg.eigvalsh(diagonal).min() > 0.0:
             return None
-        inverse = np.linalg.inv(diagonal).astype(Real)
-        single = BlockMatrix.of(blocks) if size == SIZE else matrix.astype(Real)
-        smoother, largest = _Smoother(single, inverse, 1.0), 1.0
+        places = np.arange(len(diagonal) + 1)
+        inverses = sp.bsr_matrix((np.linalg.inv(diagonal), places[:-1], places))
+        single, inverse = (
+            BlockMatrix.of(m) if size == SIZE else m.astype(Real) for m in (blocks, inverses)
+        )
         vector = np.random.default_rng(0).standard_normal(matrix.shape[0]).astype(Real)
         for _ in range(_POWER_STEPS):
-            vector = smoother._scaled(single @ vector)
+            vector = inverse @ (single @ vector)
             largest = float(np.sqrt(np.square(vector).sum()))
             vector /= largest
         return _Smoother(single, inverse, _MARGIN * largest)
-
-    def _scaled(self, residual: np.ndarray) -> np.ndarray:
-        if len(self.inverse) == len(residual):
-            return np.asarray(self.inverse.ravel() * residual)
-        return times_diagonal(self.inverse, residual)
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:
         """Return the approximate solution for a right-hand side.
@@ -70,12 +65,12 @@ class _Smoother:
         center, half = 0.5 * (self.largest + smallest), 0.5 * (self.largest - smallest)
         ratio = center / half
         rho = 1.0 / ratio
-        change = self._scaled(residual) / center
+        change = self.inverse @ residual / center
         solution = change.copy()
         for _ in range(_DEGREE - 1):
             residual = residual - self.matrix @ change
             rho, before = 1.0 / (2.0 * ratio - rho), rho
-            change = rho * before * change + (2.0 * rho / half) * self._scaled(residual)
+            change = rho * before * change + (2.0 * rho / half) * (self.inverse @ residual)
             solution += change
         return solution
 
@@ -134,10 +129,9 @@ class PMultigridSolver(IterativeSolver):
         return _Cycle(smoother, interpolation, solver) if solver.factor(upper.data) else None
 
     def _solve(self, rhs: np.ndarray, rtol: float) -> np.ndarray:
-        if rhs.ndim > 1:
-            columns = np.asarray(rhs, dtype=np.float64).T
-            return np.stack([self._solve(column, rtol) for column in columns], axis=1)
-        rhs = np.ascontiguousarray(rhs, dtype=np.float64)
+        return by_columns(lambda b: self._solve_column(b, rtol), rhs)
+
+    def _solve_column(self, rhs: np.ndarray, rtol: float) -> np.ndarray:
         if not self._current:
             tolerance = max(rtol, self.options.rtol)
             limit = int(_STALE_ITERATIONS * (2.0 - np.log10(tolerance)))

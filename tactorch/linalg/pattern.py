@@ -27,11 +27,11 @@ class SymmetricPattern:
         size: int, rows: Int[np.ndarray, "..."], cols: Int[np.ndarray, "..."]
     ) -> "SymmetricPattern":
         """Build the pattern of the couplings `(row, col)` of either triangle and the diagonal."""
-        low, high = np.minimum(rows, cols).ravel(), np.maximum(rows, cols).ravel()
-        diagonal = np.arange(size, dtype=np.int64) * (size + 1)
-        keys = np.unique(np.concatenate([low * np.int64(size) + high, diagonal]))
-        indptr = np.searchsorted(keys // size, np.arange(size + 1)).astype(np.int32)
-        return SymmetricPattern(indptr, (keys % size).astype(np.int32))
+        every = np.arange(size)
+        low = np.concatenate([np.minimum(rows, cols).ravel(), every])
+        high = np.concatenate([np.maximum(rows, cols).ravel(), every])
+        upper = sp.csr_matrix((np.ones(len(low), dtype=bool), (low, high)), shape=(size, size))
+        return SymmetricPattern(upper.indptr.astype(np.int32), upper.indices.astype(np.int32))
 
     def blocks(self, size: int) -> "SymmetricPattern":
         """Return the pattern in which each unknown is a block of `size` unknowns."""
@@ -69,19 +69,18 @@ class SymmetricPattern:
         self, rows: Int[np.ndarray, "*shape"], cols: Int[np.ndarray, "*shape"]
     ) -> Int[np.ndarray, "*shape"]:
         """Return the index in the stored values of each coupling, given in either triangle."""
-        low, high = np.minimum(rows, cols), np.maximum(rows, cols)
-        keys = self.rows.astype(np.int64) * self.size + self.indices
-        return np.searchsorted(keys, low.astype(np.int64) * self.size + high).astype(np.int32)
+        numbers = np.arange(self.nnz, dtype=np.int32)
+        entries = sp.csr_matrix((numbers, self.indices, self.indptr), shape=(self.size,) * 2)
+        found = entries[np.minimum(rows, cols).ravel(), np.maximum(rows, cols).ravel()]
+        return np.asarray(found).reshape(rows.shape)
 
     @cached_property
     def _mirror(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Full pattern (indptr, indices), and the index of the stored value of each entry."""
-        below = np.bincount(self.indices, minlength=self.size) - 1
-        counts = np.diff(self.indptr) + below
-        indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-        indices, source = np.empty((2, indptr[-1]), dtype=np.int32)
-        _mirror_entries(self.indptr, self.indices, indptr[:-1].copy(), indices, source)
-        return indptr, indices, source
+        numbers = np.arange(1, self.nnz + 1, dtype=np.int32)  # zeros would not be stored
+        upper = sp.csr_matrix((numbers, self.indices, self.indptr), shape=(self.size,) * 2)
+        both = upper + sp.triu(upper, 1, format="csr").T
+        return both.indptr, both.indices, both.data - 1
 
     def full(self, values: Float[np.ndarray, " nnz"]) -> sp.csr_matrix:
         """Return both triangles as a SciPy matrix."""
@@ -109,21 +108,6 @@ class SymmetricPattern:
         scale = float(np.abs(values[self.diagonal]).mean())
         _apply_dirichlet(self.indptr, self.indices, values, fixed, scale, out)
         return out
-
-
-@no_type_check
-@numba.njit(nogil=True, cache=True)
-def _mirror_entries(indptr, indices, ends, columns, source):
-    """Set column and stored entry of both triangles; `ends` are the starts of the full rows."""
-    for i in range(indptr.shape[0] - 1):
-        # The columns below i were set by the rows before.
-        for k in range(indptr[i], indptr[i + 1]):
-            columns[ends[i]], source[ends[i]] = indices[k], k
-            ends[i] += 1
-        for k in range(indptr[i] + 1, indptr[i + 1]):
-            j = indices[k]
-            columns[ends[j]], source[ends[j]] = i, k
-            ends[j] += 1
 
 
 @no_type_check

@@ -4,10 +4,12 @@ import threading
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.linalg.conjugate_gradients import conjugate_gradients
 from tactorch.linalg.pattern import SymmetricPattern
 from tactorch.linalg.solver import SOLVERS, CoarseSpaces, Solver, SolverOptions
 
@@ -65,6 +67,25 @@ class Lease:
             raise RuntimeError("the factorisation was transferred; factor again before solving")
         return self._solver.solve(rhs, rtol)
 
+    def solve_similar(
+        self,
+        values: Float[np.ndarray, " nnz"],
+        rhs: Float[np.ndarray, "size *k"],
+        rtol: float,
+        max_iterations: int,
+    ) -> Float[np.ndarray, "size *k"] | None:
+        """Solve with another matrix by conjugate gradients, which the factorisation preconditions.
+
+        None without a factorisation that is cheap to solve with, and without convergence.
+        """
+        if self.factored is None or not self.direct:
+            return None
+        result = conjugate_gradients(
+            partial(self._pool.pattern.product, values), self.solve, rhs,
+            rtol=rtol, max_iterations=max_iterations,
+        )  # fmt: skip
+        return result.solution if result.converged else None
+
 
 class SharedLease:
     """Factorisations that load cases of similar tangents share, as preconditioners.
@@ -116,14 +137,11 @@ class SolverPool:
         self.pattern = pattern
         options: SolverOptions = SOLVERS.build(solver)
         self.options = options.resolve(pattern.size)
+        #: Whether there are solvers that factor faster, to about four digits.
+        self.has_single_precision = self.options.has_single_precision
         self._coarse = coarse
         self._idle: dict[bool, list[Solver]] = {False: [], True: []}
         self._lock = threading.RLock()  # a finalizer may run in the thread that has the lock
-
-    @property
-    def has_single_precision(self) -> bool:
-        """Whether there are solvers that factor faster, to about four digits."""
-        return self.options.has_single_precision
 
     def lease(self, single_precision: bool = False) -> Lease:
         """Lend a solver, in single precision if wanted and supported."""

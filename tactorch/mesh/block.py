@@ -24,9 +24,6 @@ class HeightField:
     Its smoothing is the one that predicts points best that are left out. Beyond the points the
     height is that of the nearest.
 
-    Args:
-        points_mm: Points of the surface.
-
     Raises:
         MeshError: there are fewer than ten points, or they are in line.
     """
@@ -37,8 +34,10 @@ class HeightField:
                 f"A surface by {len(points_mm)} points is not known; at least {_MIN_POINTS} are "
                 "needed."
             )
-        self._low, self._high = points_mm[:, :2].min(axis=0), points_mm[:, :2].max(axis=0)
-        area = float(np.prod(self._high - self._low))
+        low, high = points_mm[:, :2].min(axis=0), points_mm[:, :2].max(axis=0)
+        #: Lowest and highest x and y of the points, mm.
+        self.bounds_mm = low, high
+        area = float(np.prod(high - low))
         spread = np.linalg.svd(points_mm[:, :2] - points_mm[:, :2].mean(axis=0), compute_uv=False)
         if spread[1] < 1e-3 * spread[0]:
             raise MeshError("The points of the surface are in line; give some that span an area.")
@@ -73,23 +72,11 @@ class HeightField:
         distance = np.linalg.norm(apart, axis=1, keepdims=True)
         share = np.minimum(1.0, self._unit / np.maximum(distance, 1e-300))
         at = self._points[nearest, :2] + share * apart
-        height: np.ndarray = self._plate(at / self._unit)
-        return height
-
-    @property
-    def bounds_mm(self) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-        """Lowest and highest x and y of the points, mm."""
-        return self._low, self._high
+        return np.asarray(self._plate(at / self._unit))
 
 
 class Block(NamedTuple):
-    """A block below a surface.
-
-    Attributes:
-        mesh: The mesh.
-        bottom: Its lowest nodes.
-        sides: The nodes of its sides.
-    """
+    """A block below a surface, and the nodes of its bottom and of its sides."""
 
     mesh: TetMesh
     bottom: np.ndarray
@@ -139,5 +126,4 @@ def _layers(height: float, edge: float) -> Float[np.ndarray, " k"]:
     while sum(thickness) < height:
         thickness.append(_GROWTH * thickness[-1])
     depths = np.concatenate([[0.0], np.cumsum(thickness)])
-    result: np.ndarray = depths / depths[-1]
-    return result
+    return np.asarray(depths / depths[-1])

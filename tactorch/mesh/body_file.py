@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import ConfigError, MeshError
+from tactorch.errors import ConfigError
 from tactorch.mesh.closest import closest_points
-from tactorch.mesh.geometry import area_vectors, bounding_box
-from tactorch.mesh.io import MESH_SUFFIXES, read_mesh, read_surface
+from tactorch.mesh.geometry import area_vectors, bounding_box, unit_rows
+from tactorch.mesh.io import MESH_SUFFIXES, naming, read_mesh, read_surface
 from tactorch.mesh.shapes import Distances, Shape
 from tactorch.mesh.solids import solid_surface
 from tactorch.mesh.surfaces import TriangleSurface
 from tactorch.mesh.tetmesh import compact
+from tactorch.mesh.topology import matched_edges, triangle_edges
 from tactorch.mesh.values import Corners, Points, Triangles, checked
 
 _ON_EDGE = 1e-9  # barycentric coordinate below which a point is on an edge or a vertex
@@ -73,10 +74,8 @@ def _read(path: str, unit: str, stamp: int) -> TriangleSurface:
         points, triangles, _ = compact(mesh.points, mesh.surface.triangles)
     else:
         points, triangles = read_surface(path, unit)
-    try:
+    with naming(path):
         return solid_surface(points, triangles)
-    except MeshError as error:
-        raise MeshError(f"'{path}': {error}") from error
 
 
 def _normals_at(
@@ -90,8 +89,7 @@ def _normals_at(
     At edges they are the sum of those of both triangles, at vertices weighted by angles
     (J. A. Baerentzen and H. Aanaes, IEEE Trans. Vis. Comput. Graph. 11, 2005, p. 243).
     """
-    faces = area_vectors(vertices, triangles)
-    faces /= np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-300)
+    faces = unit_rows(area_vectors(vertices, triangles))
     at_vertices = np.zeros_like(vertices)
     for k in range(3):
         a, b, c = (vertices[triangles[:, (k + i) % 3]] for i in range(3))
@@ -103,16 +101,10 @@ def _normals_at(
     zero = barycentric < _ON_EDGE
     on_edge = zero.sum(axis=1) == 1
     opposite = zero[on_edge].argmax(axis=1)
-    corners = triangles[nearest[on_edge]]
-    rows = np.arange(len(corners))
-    ends = np.sort(
-        np.column_stack([corners[rows, (opposite + 1) % 3], corners[rows, (opposite + 2) % 3]])
-    )
-    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    keys = edges[:, 0] * len(vertices) + edges[:, 1]
-    order = np.argsort(keys, kind="stable")
-    first = np.searchsorted(keys[order], ends[:, 0] * len(vertices) + ends[:, 1])
-    normals[on_edge] = faces[order[first] // 3] + faces[order[first + 1] // 3]
+    pairs = matched_edges(triangle_edges(triangles))
+    at_edges = np.empty((3 * len(triangles), 3))
+    at_edges[pairs] = faces[pairs // 3].sum(axis=1, keepdims=True)
+    normals[on_edge] = at_edges[3 * nearest[on_edge] + (opposite + 1) % 3]
     at_corner = zero.sum(axis=1) >= 2
     corner = barycentric[at_corner].argmax(axis=1)
     normals[at_corner] = at_vertices[triangles[nearest[at_corner], corner]]

@@ -12,33 +12,21 @@ _CHUNK = 4096  # pairs of points and triangles whose closest points are found at
 
 
 class Closest(NamedTuple):
-    """Closest points of a surface.
+    """Closest points of a surface."""
 
-    Attributes:
-        triangles: Triangle of each.
-        barycentric: Its barycentric coordinates there.
-        points: The closest points, mm.
-        distances: Distance from the given point, mm.
-    """
-
-    triangles: Int[np.ndarray, " q"]
-    barycentric: Float[np.ndarray, "q 3"]
-    points: Float[np.ndarray, "q 3"]
-    distances: Float[np.ndarray, " q"]
+    triangles: Int[np.ndarray, " q"]  # on which the points are
+    barycentric: Float[np.ndarray, "q 3"]  # coordinates on these
+    points: Float[np.ndarray, "q 3"]  # mm
+    distances: Float[np.ndarray, " q"]  # from the given points, mm
 
 
 def closest_points(
     points: Points, triangles: Triangles, queries: Float[np.ndarray, "q 3"]
 ) -> Closest:
-    """Return the closest points of a surface.
+    """Return the points (mm) of a surface that are closest to the queries.
 
     A triangle can be the closest only if its centroid is within the distance of the nearest vertex
     plus the largest distance of a centroid from its vertices.
-
-    Args:
-        points: Nodes, mm.
-        triangles: Their indices in each triangle.
-        queries: The given points, mm.
     """
     corners = points[triangles]
     centroids = corners.mean(axis=1)

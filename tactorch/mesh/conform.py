@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from tactorch.mesh.geometry import area_vectors, signed_volumes
-from tactorch.mesh.refine import Refinement, halve, number_edges
+from tactorch.mesh.geometry import area_vectors, signed_volumes, unit_rows
+from tactorch.mesh.refine import Refinement, halve
 from tactorch.mesh.tetmesh import TetMesh
-from tactorch.mesh.topology import LOCAL_FACES, match_faces, row_keys
+from tactorch.mesh.topology import flat_faces, match_faces, number_edges, row_keys, triangle_edges
 from tactorch.mesh.values import Points, Tets
 
 _MAX_MOVE = 0.35  # of a node along an edge, in lengths of the edge
@@ -26,42 +26,30 @@ _HALVINGS = 30  # of an interval that contains a crossing, and of moves that are
 
 @dataclass(frozen=True, eq=False)
 class ClosedSurface:
-    """A closed surface.
+    """A closed surface."""
 
-    Attributes:
-        level: Function of points (k, 3), mm: zero on the surface, negative inside.
-        volume_mm3: Volume inside, to which the faces are moved; None for nodes on the surface.
-    """
-
+    #: Function of points, mm: zero on the surface, negative inside.
     level: Callable[[Float[np.ndarray, "k 3"]], Float[np.ndarray, " k"]]
+    #: Volume inside, to which the faces are moved; None for nodes on the surface.
     volume_mm3: float | None
 
 
 @dataclass(frozen=True, eq=False)
 class Conforming:
-    """A mesh whose faces follow closed surfaces.
+    """A mesh whose faces follow closed surfaces."""
 
-    Attributes:
-        refinement: Bisections of a mesh, with new nodes at mid-points.
-        mesh: The mesh of the refinement, with interior nodes moved.
-        sides: Side of each surface on which each element is: -1 inside, 1 outside, and 0 where the
-            surface crosses the element, (surfaces, m).
-    """
-
-    refinement: Refinement
-    mesh: TetMesh
+    refinement: Refinement  # bisections of a mesh, with new nodes at mid-points
+    mesh: TetMesh  # that of the refinement, with interior nodes moved
+    #: Side of each surface on which each element is: -1 inside, 1 outside, and 0 where the surface
+    #: crosses the element.
     sides: Int[np.ndarray, "surfaces m"]
 
 
 def conform(refinement: Refinement, surfaces: Sequence[ClosedSurface]) -> Conforming:
-    """Move and bisect until the faces of a mesh follow surfaces that do not touch.
+    """Move and bisect until the faces of a refined mesh follow surfaces that do not touch.
 
     The polyhedron of each surface has the surface's volume. Where a surface meets the mesh's own
-    boundary, or another surface, elements that it crosses remain.
-
-    Args:
-        refinement: A mesh that is refined near the surfaces; the coarse mesh is that of the result.
-        surfaces: The surfaces.
+    boundary, or another surface, elements that it crosses remain. The coarse mesh remains too.
     """
     state = _State.of(refinement)
     for surface in surfaces:
@@ -158,14 +146,13 @@ class _State:
         first, second = match.pairs.T
         mine = side[first // 4] != side[second // 4]
         inside = np.where(side[first // 4] < 0, first, second)[mine]
-        faces = _face_nodes(self.tets, inside)
+        faces = flat_faces(self.tets, inside)
         vectors = area_vectors(self.points, faces)
         normals = np.zeros_like(self.points)
         for corner in faces.T:
             np.add.at(normals, corner, vectors)
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         missing = surface.volume_mm3 - signed_volumes(self.points, self.tets[side < 0]).sum()
-        shift = missing / np.linalg.norm(vectors, axis=1).sum() * normals
+        shift = missing / np.linalg.norm(vectors, axis=1).sum() * unit_rows(normals)
         shift[self.outer] = 0.0
         return replace(self, points=_moved(self.points, self.tets, shift)[0])
 
@@ -197,9 +184,7 @@ class _State:
         return low
 
     def _on_boundary(self, edges: Int[np.ndarray, "e 2"]) -> Bool[np.ndarray, " e"]:
-        triangles = self.start.mesh.surface.triangles
-        sides = np.sort(triangles[:, [[0, 1], [1, 2], [0, 2]]].reshape(-1, 2), axis=1)
-        n = len(self.points)
+        sides, n = triangle_edges(self.start.mesh.surface.triangles), len(self.points)
         return np.isin(row_keys(edges, n), row_keys(sides, n))
 
 
@@ -230,8 +215,3 @@ def _moved(
     else:
         shift = np.zeros_like(points)
     return points + shift, (shift != 0).any(axis=1)
-
-
-def _face_nodes(tets: Tets, faces: Int[np.ndarray, " k"]) -> Int[np.ndarray, "k 3"]:
-    """Return the nodes of faces as numbered by `match_faces`, counter-clockwise from outside."""
-    return tets[(faces // 4)[:, None], LOCAL_FACES[faces % 4]]

@@ -54,14 +54,8 @@ def fit_edge_length(
 ) -> TetMesh:
     """Return the mesh whose median edge length is closest to a given one.
 
-    A warning tells a deviation of more than 20 %, as small features of a shape demand.
-
-    Args:
-        mesher: Makes a mesh from an edge length and the width of the envelope, mm.
-        vertices: (n, 3) positions of the closed surface, mm.
-        triangles: (k, 3) vertex indices.
-        length_mm: Median edge length, mm.
-        progress: Called after each mesh.
+    A warning tells a deviation of more than 20 %, as small features of a shape demand. `progress`
+    is called after each mesh.
 
     Raises:
         MeshError: no mesh could be made, or all lost parts of the shape.
@@ -77,7 +71,7 @@ def fit_edge_length(
             failure, envelope = error, _NARROWER * envelope
             continue
         mesh = onto_surface(mesh, vertices, triangles, 2.0 * envelope * length_mm)
-        ratio = float(np.median(edge_lengths(mesh))) / length_mm
+        ratio = float(np.median(mesh.edge_lengths)) / length_mm
         loss = 1.0 - float(mesh.volumes.sum()) / volume
         attempts.append(_Attempt(mesh, envelope, factor, ratio, loss))
         best = min(attempts, key=_cost)
@@ -106,21 +100,14 @@ def fit_edge_length(
     return best.mesh
 
 
-def edge_lengths(mesh: TetMesh) -> Float[np.ndarray, " k"]:
-    """Return the length of each edge, mm, in the order of `mesh.edges`."""
-    lengths: np.ndarray = np.linalg.norm(np.diff(mesh.points[mesh.edges], axis=1)[:, 0], axis=1)
-    return lengths
-
-
 def mean_ratios(mesh: TetMesh) -> Float[np.ndarray, " m"]:
     """Return the quality of each element: 1 for a regular tetrahedron, 0 for a flat one.
 
     It is the mean ratio 12 (3 V)^(2/3) / (sum of squared edges) (A. Liu and B. Joe, BIT 34, 1994,
     p. 268).
     """
-    squares = (edge_lengths(mesh) ** 2)[mesh.tet_edges].sum(axis=1)
-    ratios: np.ndarray = 12.0 * (3.0 * mesh.volumes) ** (2.0 / 3.0) / squares
-    return ratios
+    squares = (mesh.edge_lengths**2)[mesh.tet_edges].sum(axis=1)
+    return np.asarray(12.0 * (3.0 * mesh.volumes) ** (2.0 / 3.0) / squares)
 
 
 def _cost(attempt: _Attempt) -> float:

@@ -6,6 +6,8 @@ from numpy.typing import NDArray
 
 from tactorch.mesh.values import Corners, Points, Tets, Triangles
 
+_MIN_VOLUME = 0.2  # of an element after its nodes are moved, over that before
+
 
 def signed_volumes(points: Points, tets: Tets) -> Float[np.ndarray, " m"]:
     """Return signed volumes, positive where vertex 3 sees 0, 1, 2 turn counter-clockwise."""
@@ -17,6 +19,11 @@ def area_vectors(points: Points, triangles: Triangles) -> Float[np.ndarray, "k 3
     """Return each triangle's area times its unit normal."""
     a, b, c = (points[triangles[:, i]] for i in range(3))
     return np.cross(b - a, c - a) / 2.0
+
+
+def unit_rows(vectors: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 3"]:
+    """Return vectors scaled to length 1; zeros remain."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
 
 
 def vertex_areas(points: Points, triangles: Triangles) -> Float[np.ndarray, " n"]:
@@ -45,6 +52,15 @@ def bounding_diagonal(points: Points) -> float:
     """Return the length of the bounding box's diagonal."""
     low, high = bounding_box(points)
     return float(np.linalg.norm(high - low))
+
+
+def without_flat_elements(before: Points, after: Points, tets: Tets) -> Points:
+    """Return moved nodes, with those of elements that lost most of their volume where they were."""
+    limits, moved = _MIN_VOLUME * signed_volumes(before, tets), after.copy()
+    while (flat := signed_volumes(moved, tets) < limits).any():
+        nodes = np.unique(tets[flat])
+        moved[nodes] = before[nodes]
+    return moved
 
 
 def frozen(array: NDArray) -> NDArray:

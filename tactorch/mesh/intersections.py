@@ -6,6 +6,8 @@ import numba
 import numpy as np
 from jaxtyping import Int
 
+from tactorch.errors import MeshError
+from tactorch.mesh.checks import listing
 from tactorch.mesh.geometry import bounding_box
 from tactorch.mesh.values import Points, Triangles
 
@@ -17,10 +19,6 @@ def crossing_triangles(vertices: Points, triangles: Triangles) -> Int[np.ndarray
     """Return pairs of triangles of which an edge of one passes through the other.
 
     Triangles that touch with a vertex, or overlap in one plane, are not found.
-
-    Args:
-        vertices: (n, 3) positions, mm.
-        triangles: (k, 3) vertex indices.
     """
     low, high = bounding_box(vertices)
     axis = int((high - low).argmax())  # along which few boxes overlap
@@ -30,6 +28,19 @@ def crossing_triangles(vertices: Points, triangles: Triangles) -> Int[np.ndarray
         np.ascontiguousarray(corners[order]), np.ascontiguousarray(triangles[order]), axis
     )
     return order[pairs]
+
+
+def require_no_crossing(vertices: Points, triangles: Triangles) -> None:
+    """Raise `MeshError` where a surface crosses itself: parts of it would be counted twice."""
+    crossing = crossing_triangles(vertices, triangles)
+    if len(crossing):
+        crossed = np.isin(np.arange(len(triangles)), crossing)
+        x, y, z = vertices[triangles[crossing[0, 0]]].mean(axis=0)
+        raise MeshError(
+            f"The surface intersects itself: {listing(crossed, 'triangles')} cross others, in"
+            f" {len(crossing)} places, one near ({x:.3g}, {y:.3g}, {z:.3g}) mm. Repair it in a"
+            " mesh editor, by a union of its parts."
+        )
 
 
 @no_type_check

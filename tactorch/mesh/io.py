@@ -53,7 +53,7 @@ def read_mesh(path: str | Path, unit: str = "mm", *, drop_unreferenced: bool = F
     """
     scale, source = _mm_per(unit), require_file(path, "Mesh")
     content = read_any(source, _MESH_FORMATS)
-    with _naming(source):
+    with naming(source):
         points = as_points(content.points) * scale
         tets = as_cells(_solid_cells(content), 4, len(points))
         unused = unreferenced(len(points), tets)
@@ -108,7 +108,7 @@ def read_surface(path: str | Path, unit: str = "mm") -> tuple[Points, Triangles]
     """
     scale, source = _mm_per(unit), require_file(path, "Surface")
     content = read_any(source, _SURFACE_FORMATS)
-    with _naming(source):
+    with naming(source):
         vertices = as_points(content.points, "vertices")
         # The reader of STL files merges vertices, so that triangles may have become lines already.
         faces = as_cells(_without_lines(_triangles(content)), 3, len(vertices), "triangles")
@@ -146,11 +146,7 @@ def _format(path: str | Path, formats: Mapping[str, str]) -> str:
 
 
 def read_any(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
-    """Return the content of a file as meshio reads it.
-
-    Args:
-        path: Path of a file that exists.
-        formats: Name of meshio's module by suffix.
+    """Return the content of a file, with meshio's module for its suffix.
 
     Raises:
         FileError: The suffix is unknown, or the file is damaged or has no points.
@@ -223,7 +219,7 @@ def _meshio(failure: str, hint: str = "") -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _naming(path: Path) -> Iterator[None]:
+def naming(path: str | Path) -> Iterator[None]:
     """Name the file in every `MeshError` raised inside."""
     try:
         yield

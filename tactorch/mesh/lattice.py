@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tactorch.errors import ConfigError, MeshError
+from tactorch.errors import MeshError
 from tactorch.mesh.conform import ClosedSurface, conform
-from tactorch.mesh.geometry import signed_volumes
-from tactorch.mesh.meshing import MAX_CELLS, box_mesh
+from tactorch.mesh.geometry import without_flat_elements
+from tactorch.mesh.meshing import MAX_CELLS, box_mesh, require_few
 from tactorch.mesh.refine import Refinement
 from tactorch.mesh.shapes import Distances, Shape
 from tactorch.mesh.tetmesh import TetMesh, compact
@@ -23,7 +23,6 @@ _MEAN_EDGE = 1.28
 _MIN_CELLS = 3  # along each side
 _ON_SURFACE = 1e-6  # distance of nodes that are on the surface, cells
 _ON_SIDE = 0.2  # distance of nodes that are moved onto a side of the bounding box, cells
-_MIN_VOLUME = 0.2  # of an element after nodes are moved, over that before
 
 
 class _Cut(NamedTuple):
@@ -34,11 +33,9 @@ class _Cut(NamedTuple):
 
 
 def lattice_mesh(shape: Shape, edge_length_mm: Real) -> TetMesh:
-    """Mesh a shape; the result depends on the arguments alone.
+    """Mesh a shape with a mean edge length; the result depends on the arguments alone.
 
-    Args:
-        shape: The shape; parts thinner than an element are lost.
-        edge_length_mm: Mean edge length, mm.
+    Parts thinner than an element are lost.
 
     Raises:
         ConfigError: The edge length would take too many elements.
@@ -64,11 +61,7 @@ def _cut(shape: Shape, edge: float) -> _Cut:
     """Elements of a lattice inside a shape; planes of the lattice are sides of its box."""
     low, high = shape.bounds()
     counts = np.maximum(np.round((high - low) * _MEAN_EDGE / edge).astype(int), _MIN_CELLS)
-    if np.prod(counts + 2) > MAX_CELLS:
-        raise ConfigError(
-            f"An edge length of {edge:.4g} mm would take {np.prod(counts + 2):.2g} cells (limit"
-            f" {MAX_CELLS:.0e}); choose a larger one, and check the units."
-        )
+    require_few(edge, float(np.prod(counts + 2)), MAX_CELLS, "cells")
     cell = (high - low) / counts
     lattice = box_mesh((cell * (counts + 2)).tolist(), counts + 2, origin_mm=(low - cell).tolist())
     whole = Refinement(lattice, lattice, np.arange(lattice.n_tets), np.empty((0, 2), dtype=int))
@@ -86,11 +79,7 @@ def _with_flat_sides(points: Points, tets: Tets, cut: _Cut) -> Points:
     """Move nodes near the sides of the bounding box onto them, where elements stay valid."""
     sizes = np.array(np.ptp(points, axis=0))
     sides = cut.low, cut.low + np.round(sizes / cut.cell) * cut.cell
-    moved = points.copy()
+    moved = points
     for side in sides:
         moved = np.where(np.abs(moved - side) < _ON_SIDE * cut.cell, side, moved)
-    limits = _MIN_VOLUME * np.abs(signed_volumes(points, tets))
-    while (flat := np.abs(signed_volumes(moved, tets)) < limits).any():
-        back = np.unique(tets[flat])
-        moved[back] = points[back]
-    return moved
+    return without_flat_elements(points, moved, tets)

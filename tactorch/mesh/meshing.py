@@ -22,7 +22,7 @@ from tactorch.mesh.geometry import (
     signed_volumes,
     surface_area,
 )
-from tactorch.mesh.intersections import crossing_triangles
+from tactorch.mesh.intersections import require_no_crossing
 from tactorch.mesh.shapes import Box, Shape
 from tactorch.mesh.tetmesh import TetMesh, compact
 from tactorch.mesh.values import (
@@ -83,12 +83,17 @@ def mesh_shape(
         )
     # The subtraction keeps rounding from adding a layer of cells.
     counts = np.ceil(np.array(shape.size_mm) * _MEAN_EDGE / length - 1e-9).clip(1)
-    if np.prod(counts) > MAX_CELLS:
-        raise ConfigError(
-            f"An edge length of {length:.4g} mm would take {np.prod(counts):.2g} cells"
-            f" (limit {MAX_CELLS:.0e}); choose a larger one, and check the units."
-        )
+    require_few(length, float(np.prod(counts)), MAX_CELLS, "cells")
     return box_mesh(shape.size_mm, counts.astype(int), center_mm=shape.center_mm, tets_per_cell=5)
+
+
+def require_few(edge_mm: float, count: float, limit: int, what: str) -> None:
+    """Raise `ConfigError` where an edge length takes more elements or cells than the limit."""
+    if count > limit:
+        raise ConfigError(
+            f"An edge length of {edge_mm:.4g} mm would take about {count:.2g} {what} (limit"
+            f" {limit:.0e}); choose a larger one, and check the units."
+        )
 
 
 def _with_plane_faces(mesh: TetMesh, box: Box) -> TetMesh:
@@ -213,11 +218,7 @@ def tetrahedralize(
         epsilon = _EPSILON
     tolerance = None if epsilon is None else positive("epsilon", epsilon)
     expected = volume / (0.118 * length**3)  # regular tetrahedra
-    if expected > MAX_ELEMENTS:
-        raise ConfigError(
-            f"An edge length of {length:.4g} mm would take about {expected:.2g} elements"
-            f" (limit {MAX_ELEMENTS:.0e}); choose a larger one, and check the units."
-        )
+    require_few(length, expected, MAX_ELEMENTS, "elements")
     all_points, all_faces = _with_inner(points, faces, inner)
     digest = hashlib.sha256(f"tetwild 1 {len(all_points)} {length!r} {tolerance!r} ".encode())
     digest.update(all_points.astype("<f8").tobytes())
@@ -234,7 +235,7 @@ def tetrahedralize(
         return _validated(*found)
 
     if tolerance is None:
-        _require_no_crossing(points, faces)
+        require_no_crossing(points, faces)
         mesh = fit_edge_length(mesher, points, faces, length, progress)
     else:
         mesh = mesher(length, tolerance * diagonal)
@@ -250,17 +251,6 @@ def tetrahedralize(
     if cache:
         _store_cached(path, mesh)
     return mesh
-
-
-def _require_no_crossing(points: Points, faces: Triangles) -> None:
-    """Refuse surfaces that cross themselves, of which parts would be counted twice."""
-    crossing = crossing_triangles(points, faces)
-    if len(crossing):
-        x, y, z = points[faces[crossing[0, 0]]].mean(axis=0)
-        raise MeshError(
-            f"The surface intersects itself at {len(crossing)} places, one near ({x:.3g}, {y:.3g},"
-            f" {z:.3g}) mm. Repair it in a mesh editor, by a union of its parts."
-        )
 
 
 def _edge_length(edge_length_mm: Real | None, relative: Real, diagonal: float) -> float:

@@ -9,9 +9,10 @@ from tactorch.errors import ConfigError
 from tactorch.mesh.tetmesh import TetMesh
 from tactorch.mesh.values import Points
 
+Field = Callable[[Points], Float[np.ndarray, " n"]]
 # Points evaluated at once; limits the memory.
 _MAX_POINTS = 500_000
-SAMPLES = 6  # points of the lattice along an edge, of which those around a quadrature point are
+_SAMPLES = 6  # points of the lattice along an edge, of which those around a quadrature point are
 
 
 def lattice(
@@ -35,19 +36,13 @@ def lattice(
     return (counts + margin) / (n + corners * margin)
 
 
-def samples_around(
-    rule: Float[np.ndarray, "q 4"], samples: int = SAMPLES
-) -> Float[np.ndarray, "p 4"]:
+def samples_around(rule: Float[np.ndarray, "q 4"]) -> Float[np.ndarray, "p 4"]:
     """Return as many points of an element for each quadrature point, those nearest to it.
 
-    Points and rule are in barycentric coordinates. Points of the lattice that are nearest to two
-    quadrature points count half for each: the others are there twice.
-
-    Args:
-        rule: Quadrature points.
-        samples: Number of points of the lattice along an edge.
+    They are of a lattice. Those that are nearest to two quadrature points count half for each: the
+    others are there twice.
     """
-    points = lattice(samples)
+    points = lattice(_SAMPLES)
     distance = ((points[:, None] - rule) ** 2).sum(axis=2)
     nearest = np.isclose(distance, distance.min(axis=1, keepdims=True))
     counts = 2 // nearest.sum(axis=1, keepdims=True) * nearest
@@ -55,31 +50,24 @@ def samples_around(
     return points[np.concatenate(groups)]
 
 
-def element_means(
-    mesh: TetMesh, values_at: Callable[[Points], Float[np.ndarray, " n"]], samples: int
-) -> Float[np.ndarray, " m"]:
+def element_means(mesh: TetMesh, values_at: Field, samples: int) -> Float[np.ndarray, " m"]:
     """Return the mean of a field over each element, from `samples` points along an edge."""
     return _means(mesh, values_at, lattice(samples), 1)[:, 0]
 
 
 def quadrature_means(
-    mesh: TetMesh,
-    values_at: Callable[[Points], Float[np.ndarray, " n"]],
-    rule: Float[np.ndarray, "q 4"],
+    mesh: TetMesh, values_at: Field, rule: Float[np.ndarray, "q 4"]
 ) -> Float[np.ndarray, "m q"]:
     """Return the mean of a field over the part of each element nearest to each quadrature point.
 
-    Args:
-        mesh: Mesh.
-        values_at: Field.
-        rule: Barycentric coordinates of the quadrature points; see `samples_around`.
+    See `samples_around`.
     """
     return _means(mesh, values_at, samples_around(rule), len(rule))
 
 
 def _means(
     mesh: TetMesh,
-    values_at: Callable[[Points], Float[np.ndarray, " n"]],
+    values_at: Field,
     weights: Float[np.ndarray, "p 4"],
     groups: int,
 ) -> Float[np.ndarray, "m groups"]:

@@ -21,7 +21,7 @@ from tactorch.errors import ConfigError
 from tactorch.mesh.geometry import frozen
 from tactorch.mesh.meshing import MAX_ELEMENTS
 from tactorch.mesh.tetmesh import TetMesh
-from tactorch.mesh.topology import LOCAL_EDGES, row_keys
+from tactorch.mesh.topology import LOCAL_EDGES, number_edges, row_keys
 from tactorch.mesh.values import Points, Tets
 
 #: Maximum edge length (mm) of an element with its centroid at each of k points (mm).
@@ -92,11 +92,11 @@ class Refinement:
         """Interpolate a nodal field of the coarse mesh linearly to the fine nodes.
 
         Args:
-            values: Value of each coarse node, (n,) or (n, components), in any unit. NaN values
-                affect only the nodes that depend on them.
+            values: Value of each coarse node, in any unit. NaN values affect only the nodes that
+                depend on them.
 
         Returns:
-            Value of each fine node, (n + k,) or (n + k, components). The first n are `values`.
+            Value of each fine node. The first n are `values`.
 
         Raises:
             ConfigError: `values` does not have one row per coarse node.
@@ -115,16 +115,12 @@ def refine(mesh: TetMesh, sizing: Sizing) -> Refinement:
     """Bisect elements until no edge of an element is longer than the sizing at its centroid.
 
     Neighbours of bisected elements are bisected too where the mesh would not be conforming
-    otherwise. Elements keep a positive orientation. The mesh is returned as it is where no edge is
-    too long.
+    otherwise. The mesh is returned as it is where no edge is too long.
 
     Args:
         mesh: Coarse mesh.
         sizing: Function from points (k, 3), mm, to the maximum edge length at each, (k,), mm.
             Infinite lengths leave elements unchanged.
-
-    Returns:
-        The fine mesh and its relation to the coarse mesh.
 
     Raises:
         ConfigError: `sizing` returns another shape, NaN, or lengths below 1e-4 of the mesh's
@@ -171,15 +167,7 @@ def bisect(points: Points, tets: Tets, large: Bool[np.ndarray, " m"]) -> Bisecti
 
     A path leads from an element to the other elements of its longest edge, and so on. A terminal
     edge is the longest of all its elements, so that bisecting it is conforming. Passes are repeated
-    until the elements where paths start are bisected.
-
-    Args:
-        points: Node positions, mm.
-        tets: Elements of a conforming mesh.
-        large: Elements where paths start; at least one.
-
-    Returns:
-        The end points of the bisected edges, and the elements.
+    until the elements where paths start, of which there is at least one, are bisected.
     """
     n = len(points)
     edges, tet_edges = number_edges(tets, n)
@@ -209,17 +197,11 @@ def halve(
     chosen: Bool[np.ndarray, " e"],
     n_points: int,
 ) -> tuple[Int[np.ndarray, "fine 4"], Int[np.ndarray, " fine"]]:
-    """Bisect the elements whose own edge is chosen.
-
-    Args:
-        tets: Elements.
-        edges: Nodes of each edge.
-        own: One edge of each element. It is that of all elements of a chosen edge.
-        chosen: The edges to bisect; new nodes are numbered in their order.
-        n_points: Number of the first new node.
+    """Bisect the elements whose own edge is chosen; it is that of all elements of a chosen edge.
 
     Returns:
-        The elements, oriented as before, and the element that each is, or is a half of.
+        The elements, oriented as before, and the element that each is, or is a half of. New nodes
+        are numbered from `n_points`, in the order of the chosen edges.
     """
     cut = chosen[own]
     new_node = np.full(len(edges), -1)
@@ -231,15 +213,6 @@ def halve(
     ]
     origins = np.concatenate((np.flatnonzero(~cut), np.flatnonzero(cut), np.flatnonzero(cut)))
     return np.concatenate((tets[~cut], *halves)), origins
-
-
-def number_edges(
-    tets: Tets, n_points: int
-) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "m 6"]]:
-    """Return the nodes of each edge, in ascending order, and the edges of each element."""
-    pairs = np.sort(tets[:, LOCAL_EDGES], axis=2)
-    keys, inverse = np.unique(pairs[..., 0] * n_points + pairs[..., 1], return_inverse=True)
-    return np.column_stack(np.divmod(keys, n_points)), inverse.reshape(-1, 6)
 
 
 def _check_sizing(limits: np.ndarray, count: int, diagonal: float) -> Float[np.ndarray, " m"]:

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from tactorch.mesh.tetmesh import TetMesh
+from tactorch.mesh.topology import matched_edges, triangle_edges
 from tactorch.mesh.values import Triangles
 
 _SHARP = 0.7  # cosine of the angle between the normals at a sharp edge
@@ -17,9 +18,8 @@ def sharp_edges(
     triangles: Triangles, normals: Float[np.ndarray, "k 3"], cosine: float
 ) -> Int[np.ndarray, "e 2"]:
     """Return the edges of a closed surface where the cosine between unit normals is lower."""
-    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    order = np.lexsort(edges.T[::-1])  # the two triangles of each edge are neighbours in it
-    first, second = order.reshape(-1, 2).T
+    edges = triangle_edges(triangles)
+    first, second = matched_edges(edges).T
     return edges[first[(normals[first // 3] * normals[second // 3]).sum(axis=1) < cosine]]
 
 

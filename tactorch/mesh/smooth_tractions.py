@@ -15,7 +15,7 @@ import scipy.sparse.linalg
 from jaxtyping import Bool, Float, Int
 
 from tactorch.mesh.refine import Refinement
-from tactorch.mesh.topology import Surface, row_keys
+from tactorch.mesh.topology import Surface, matched_edges, row_keys, triangle_edges
 from tactorch.mesh.tractions import LoadedSurface
 
 _MIN_COSINE = 0.8  # between normals, where the surface goes on across an edge
@@ -69,23 +69,15 @@ def smooth_traction(
 
 
 def loaded_boundary(surface: Surface, loaded: Int[np.ndarray, "k 3"]) -> Int[np.ndarray, "edges 2"]:
-    """Return the edges where loaded triangles end and the surface goes on smoothly.
-
-    Args:
-        surface: Surface of a mesh.
-        loaded: Those of its triangles that are loaded.
-    """
+    """Return the edges where loaded triangles end and the surface goes on smoothly."""
     n = int(surface.triangles.max()) + 1
     every, chosen = (row_keys(np.sort(t, axis=1), n) for t in (surface.triangles, loaded))
     inside = np.isin(every, chosen)
-    sides = surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    keys = row_keys(np.sort(sides, axis=1), n)
-    order = np.argsort(keys, kind="stable")
-    first = np.flatnonzero(keys[order[1:]] == keys[order[:-1]])
-    pairs = np.column_stack([order[first], order[first + 1]])
+    sides = triangle_edges(surface.triangles)
+    pairs = matched_edges(sides)
     normals, ends = surface.normals[pairs // 3], inside[pairs // 3]
     smooth = np.einsum("kd,kd->k", normals[:, 0], normals[:, 1]) > _MIN_COSINE
-    return np.asarray(np.sort(sides[pairs[smooth & (ends[:, 0] != ends[:, 1]), 0]], axis=1))
+    return np.asarray(sides[pairs[smooth & (ends[:, 0] != ends[:, 1]), 0]])
 
 
 def _are_bisected(refinement: Refinement, edges: Int[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
@@ -104,12 +96,10 @@ def _jumps(
     return bool(np.median(along) >= _MAX_JUMP * (mean @ mean))
 
 
-def _stiffness(loaded: LoadedSurface, points: Float[np.ndarray, "n 3"]) -> sp.csr_array:
+def _stiffness(loaded: LoadedSurface, points: Float[np.ndarray, "n 3"]) -> sp.csr_matrix:
     """Return the integrals of the products of surface gradients of hat functions."""
     corners = points[loaded.triangles]
     # The gradient of a corner's hat function is the opposite edge, turned, over twice the area.
     opposite = np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1)
     blocks = np.einsum("kid,kjd->kij", opposite, opposite) / (4.0 * loaded.areas[:, None, None])
-    rows, cols = np.repeat(loaded.triangles, 3, axis=1), np.tile(loaded.triangles, 3)
-    shape = (loaded.n_points, loaded.n_points)
-    return sp.csr_array((blocks.ravel(), (rows.ravel(), cols.ravel())), shape=shape)
+    return loaded.assemble(blocks)

@@ -5,7 +5,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from tactorch.mesh.closest import closest_points
-from tactorch.mesh.geometry import area_vectors, signed_volumes
+from tactorch.mesh.geometry import area_vectors, signed_volumes, unit_rows
 from tactorch.mesh.sharp_edges import sharp_edges
 from tactorch.mesh.tetmesh import TetMesh
 from tactorch.mesh.values import Points, Triangles
@@ -17,16 +17,11 @@ _MAX_SAMPLES = 1_000_000  # on sharp edges
 
 
 def onto_surface(mesh: TetMesh, vertices: Points, triangles: Triangles, reach_mm: float) -> TetMesh:
-    """Move the boundary nodes onto a surface, those near its sharp edges onto these.
+    """Move the boundary nodes of a mesh onto the closed surface that it fills.
 
-    Flat sides become flat. Nodes of elements that would lose more than three quarters of their
+    Those near its sharp edges are moved onto these, and flat sides become flat. No node moves by
+    more than `reach_mm`, and those of elements that would lose more than three quarters of their
     volume remain where they are.
-
-    Args:
-        mesh: Mesh of the inside of the surface.
-        vertices: (n, 3) positions, mm.
-        triangles: (k, 3) vertex indices of the closed surface.
-        reach_mm: Largest distance by which a node moves, mm.
     """
     nodes = mesh.surface.nodes()
     start = mesh.points[nodes]
@@ -57,12 +52,9 @@ def _sharp(
     vertices: Points, triangles: Triangles
 ) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, " c"]]:
     """Return the sharp edges of a closed surface, and the vertices at which they meet or end."""
-    normals = area_vectors(vertices, triangles)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    sharp = sharp_edges(triangles, normals, _SHARP)
+    sharp = sharp_edges(triangles, unit_rows(area_vectors(vertices, triangles)), _SHARP)
     number = np.bincount(sharp.ravel(), minlength=len(vertices))
-    sides = vertices[sharp[:, 1]] - vertices[sharp[:, 0]]
-    sides /= np.maximum(np.linalg.norm(sides, axis=1, keepdims=True), 1e-300)
+    sides = unit_rows(vertices[sharp[:, 1]] - vertices[sharp[:, 0]])
     total = np.zeros_like(vertices)  # of the unit vectors from each vertex along its sharp edges
     np.add.at(total, sharp[:, 0], sides)
     np.add.at(total, sharp[:, 1], -sides)

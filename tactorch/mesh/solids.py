@@ -8,9 +8,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from tactorch.errors import MeshError
-from tactorch.mesh.checks import as_cells, as_points, closed_surface, listing
+from tactorch.mesh.checks import as_cells, as_points, closed_surface
 from tactorch.mesh.geometry import bounding_box, enclosed_volume
-from tactorch.mesh.intersections import crossing_triangles
+from tactorch.mesh.intersections import require_no_crossing
 from tactorch.mesh.tetmesh import compact
 from tactorch.mesh.values import Points, Rows, Triangles
 
@@ -48,14 +48,7 @@ def solid_surface(
         _log.warning("The normals of the surface point inward; its triangles are turned.")
     if count > 1:
         _check_parts(points, turned, labels, volumes * np.sign(volumes[outer]), outer)
-    crossing = crossing_triangles(points, turned)
-    if len(crossing):
-        crossed = np.zeros(len(turned), dtype=bool)
-        crossed[crossing] = True
-        raise MeshError(
-            f"The surface intersects itself: {listing(crossed, 'triangles')} cross others, in"
-            f" {len(crossing)} places. Repair it in a mesh editor, by a union of its parts."
-        )
+    require_no_crossing(points, turned)
     return points, turned
 
 

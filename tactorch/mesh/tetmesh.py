@@ -11,28 +11,15 @@ from jaxtyping import Float, Int
 
 from tactorch.display import Displayed
 from tactorch.errors import ConfigError, MeshError
-from tactorch.mesh.checks import (
-    as_cells,
-    as_points,
-    as_regions,
-    check_elements,
-    check_faces,
-)
-from tactorch.mesh.geometry import (
-    area_vectors,
-    bounding_box,
-    frozen,
-    signed_volumes,
-    vertex_areas,
-)
+from tactorch.mesh.checks import as_cells, as_points, as_regions, check_elements, check_faces
+from tactorch.mesh.geometry import area_vectors, bounding_box, frozen, signed_volumes, vertex_areas
 from tactorch.mesh.topology import (
-    LOCAL_EDGES,
-    LOCAL_FACES,
     Adjacency,
     FaceMatch,
     Surface,
+    flat_faces,
     match_faces,
-    row_keys,
+    number_edges,
 )
 from tactorch.mesh.values import Corners, Points, Real, Rows, Tets
 
@@ -99,9 +86,8 @@ class TetMesh(Displayed):
     def summary(self) -> str:
         """Return a description of the mesh in a few lines of text."""
         size = " x ".join(f"{edge:.3g}" for edge in self.bounds[1] - self.bounds[0])
-        ends = self.points[self.edges]
-        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        low, middle, high = (f"{x:.3g}" for x in np.quantile(lengths, [0.0, 0.5, 1.0]))
+        quantiles = np.quantile(self.edge_lengths, [0.0, 0.5, 1.0])
+        low, middle, high = (f"{x:.3g}" for x in quantiles)
         lines = [
             f"{self.n_points} nodes, {self.n_tets} tetrahedra",
             f"{size} mm, {self.volumes.sum():.4g} mm3",
@@ -151,7 +137,7 @@ class TetMesh(Displayed):
     @cached_property
     def surface(self) -> Surface:
         """Boundary triangles, oriented outward."""
-        triangles = self._triangles(self._faces.boundary)
+        triangles = flat_faces(self.tets, self._faces.boundary)
         vectors = area_vectors(self.points, triangles)
         areas = np.linalg.norm(vectors, axis=1)
         arrays = triangles, vectors / areas[:, None], areas, self._faces.boundary // 4
@@ -161,7 +147,7 @@ class TetMesh(Displayed):
     def adjacency(self) -> Adjacency:
         """Pairs of elements that share a face."""
         pairs = self._faces.pairs // 4
-        shared = self._triangles(self._faces.pairs[:, 0])
+        shared = flat_faces(self.tets, self._faces.pairs[:, 0])
         areas = np.linalg.norm(area_vectors(self.points, shared), axis=1)
         offsets = self.centroids[pairs[:, 0]] - self.centroids[pairs[:, 1]]
         return Adjacency(frozen(pairs), frozen(areas), frozen(np.linalg.norm(offsets, axis=1)))
@@ -181,6 +167,11 @@ class TetMesh(Displayed):
         """Each element's edges 01, 02, 03, 12, 13, 23 as rows of `edges`."""
         return self._edges[1]
 
+    @property
+    def edge_lengths(self) -> Float[np.ndarray, " k"]:
+        """Length of each edge, mm."""
+        return np.linalg.norm(np.diff(self.points[self.edges], axis=1)[:, 0], axis=1)
+
     def content_hash(self) -> str:
         """Return the SHA-256 of points and elements, the same on every platform.
 
@@ -195,16 +186,10 @@ class TetMesh(Displayed):
     def _faces(self) -> FaceMatch:
         return match_faces(self.tets, self.n_points)
 
-    def _triangles(self, faces: Int[np.ndarray, " k"]) -> Int[np.ndarray, "k 3"]:
-        """Nodes of flat faces, see `FaceMatch`."""
-        return self.tets[faces[:, None] // 4, LOCAL_FACES[faces % 4]]
-
     @cached_property
     def _edges(self) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, "m 6"]]:
-        ends = np.sort(self.tets[:, LOCAL_EDGES].reshape(-1, 2), axis=1)
-        keys = row_keys(ends, self.n_points)
-        _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-        return frozen(ends[first]), frozen(inverse.reshape(-1, 6))
+        edges, tet_edges = number_edges(self.tets, self.n_points)
+        return frozen(edges), frozen(tet_edges)
 
 
 def compact(

@@ -82,6 +82,33 @@ def match_faces(tets: Tets, n_points: int) -> FaceMatch:
     )
 
 
+def triangle_edges(triangles: Triangles) -> Int[np.ndarray, "e 2"]:
+    """Return the edges of each triangle, lower node first; edge 3 t + i begins at its vertex i."""
+    return np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+
+
+def matched_edges(edges: Int[np.ndarray, "e 2"]) -> Int[np.ndarray, "pairs 2"]:
+    """Return the pairs of equal edges, by the edges; lower node first."""
+    keys = row_keys(edges, int(edges.max(initial=0)) + 1)
+    order = np.argsort(keys, kind="stable")
+    first = np.flatnonzero(keys[order[1:]] == keys[order[:-1]])
+    return np.column_stack((order[first], order[first + 1]))
+
+
+def number_edges(
+    tets: Tets, n_points: int
+) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "m 6"]]:
+    """Return the nodes of each edge, in ascending order, and the edges of each element."""
+    pairs = np.sort(tets[:, LOCAL_EDGES], axis=2)
+    keys, inverse = np.unique(pairs[..., 0] * n_points + pairs[..., 1], return_inverse=True)
+    return np.column_stack(np.divmod(keys, n_points)), inverse.reshape(-1, 6)
+
+
+def flat_faces(tets: Tets, faces: Int[np.ndarray, " k"]) -> Int[np.ndarray, "k 3"]:
+    """Return the nodes of flat faces, see `FaceMatch`; counter-clockwise from outside."""
+    return tets[faces[:, None] // 4, LOCAL_FACES[faces % 4]]
+
+
 def row_keys(rows: Int[np.ndarray, "r w"], n_points: int) -> Int[np.ndarray, " r"]:
     """Number rows of node indices: equal rows have equal numbers, in lexicographic order."""
     if n_points ** rows.shape[1] > np.iinfo(np.int64).max:

@@ -20,17 +20,11 @@ from tactorch.mesh.topology import Surface
 
 @dataclass(frozen=True, eq=False)
 class LoadedSurface:
-    """The part of a surface on which forces act.
+    """The part of a surface on which forces act."""
 
-    Attributes:
-        triangles: Loaded triangles, (k, 3).
-        areas: Their areas, mm^2.
-        n_points: Number of nodes of the mesh.
-    """
-
-    triangles: Int[np.ndarray, "k 3"]
-    areas: Float[np.ndarray, " k"]
-    n_points: int
+    triangles: Int[np.ndarray, "k 3"]  # loaded ones
+    areas: Float[np.ndarray, " k"]  # mm^2
+    n_points: int  # of the mesh
 
     @staticmethod
     def of(surface: Surface, values: Float[np.ndarray, "n 3"]) -> "LoadedSurface":
@@ -44,9 +38,18 @@ class LoadedSurface:
         return np.unique(self.triangles)
 
     @cached_property
+    def areas_around(self) -> Float[np.ndarray, " n"]:
+        """Area of the loaded triangles at each node, mm^2."""
+        around = np.bincount(self.triangles.ravel(), np.repeat(self.areas, 3), self.n_points)
+        return around.astype(np.float64)  # integers where nothing is loaded
+
+    @cached_property
     def mass(self) -> sp.csr_matrix:
         """Integrals of the products of hat functions over the loaded triangles, mm^2."""
-        blocks = self.areas[:, None, None] * (np.ones((3, 3)) + np.eye(3)) / 12.0
+        return self.assemble(self.areas[:, None, None] * (np.ones((3, 3)) + np.eye(3)) / 12.0)
+
+    def assemble(self, blocks: Float[np.ndarray, "k 3 3"]) -> sp.csr_matrix:
+        """Return the matrix of all nodes from that of the vertices of each triangle."""
         rows, cols = np.repeat(self.triangles, 3, axis=1), np.tile(self.triangles, 3)
         entries = (blocks.ravel(), (rows.ravel(), cols.ravel()))
         return sp.csr_matrix(entries, shape=(self.n_points, self.n_points))
@@ -68,5 +71,4 @@ def loaded_triangles(
     surface: Surface, values: Float[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " triangles"]:
     """Return which triangles have non-zero `values` at all vertices."""
-    loaded: np.ndarray = (values != 0).any(axis=1)[surface.triangles].all(axis=1)
-    return loaded
+    return np.asarray((values != 0).any(axis=1)[surface.triangles].all(axis=1))

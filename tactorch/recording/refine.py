@@ -131,9 +131,8 @@ def _prolong_springs(
     """Spread springs of the coarse mesh to the fine nodes of its triangles; none is negative."""
     coarse, fine = _loaded(springs, refinement)
     density = np.zeros_like(springs)
-    areas = _areas_around(coarse)
-    density[coarse.nodes] = springs[coarse.nodes] / areas[coarse.nodes, None]
-    out = refinement.interpolate(density) * _areas_around(fine)[:, None]
+    density[coarse.nodes] = springs[coarse.nodes] / coarse.areas_around[coarse.nodes, None]
+    out = refinement.interpolate(density) * fine.areas_around[:, None]
     return _with_unchanged(out, springs, coarse, fine)
 
 
@@ -147,12 +146,6 @@ def _loaded(
     return LoadedSurface.of(surface, values), LoadedSurface(triangles, areas, mesh.n_points)
 
 
-def _areas_around(loaded: LoadedSurface) -> Float[np.ndarray, " n"]:
-    weights = np.repeat(loaded.areas, 3)
-    around = np.bincount(loaded.triangles.ravel(), weights, minlength=loaded.n_points)
-    return around.astype(np.float64)  # integers where nothing is loaded
-
-
 def _with_unchanged(
     out: Float[np.ndarray, "fine 3"],
     values: Float[np.ndarray, "n 3"],
@@ -160,8 +153,8 @@ def _with_unchanged(
     fine: LoadedSurface,
 ) -> Float[np.ndarray, "fine 3"]:
     """Restore the values of nodes without loaded triangles, or whose triangles are not bisected."""
-    n, before = len(values), _areas_around(coarse)
-    same = np.isclose(_areas_around(fine)[:n], before, rtol=1e-12, atol=0.0) | (before == 0)
+    n, before = len(values), coarse.areas_around
+    same = np.isclose(fine.areas_around[:n], before, rtol=1e-12, atol=0.0) | (before == 0)
     out[:n][same] = values[same]
     return out
 

@@ -10,6 +10,7 @@ from scipy import ndimage
 from tactorch.errors import ConfigError, MeshError
 from tactorch.mesh import TetMesh, tetrahedralize
 from tactorch.mesh.geometry import bounding_diagonal
+from tactorch.mesh.io import naming
 from tactorch.mesh.quadrature import element_means
 from tactorch.mesh.surfaces import TriangleSurface
 from tactorch.mesh.values import Points
@@ -61,12 +62,10 @@ class Body:
 
         See `tactorch.volumes.surface.smooth_surface`.
         """
-        try:
+        with naming(self.volume.source):
             return smooth_surface(
                 self.mask, self.volume.affine, detail_mm, keep_largest=self.keep_largest
             )
-        except MeshError as error:
-            raise MeshError(f"'{self.volume.source}': {error}") from error
 
     def mesh(
         self,

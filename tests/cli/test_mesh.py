@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from tactorch.mesh import Box, Sphere, read_mesh, write_surface
-from tactorch.mesh.edge_length import edge_lengths
 
 VERTICES, TRIANGLES = Box((0.0, 0.0, 0.0), 20.0).surface()
 SETTINGS = ("edge_length_mm=6", "out=body.vtu")
@@ -93,7 +92,7 @@ def test_a_surface_is_meshed(
     assert "target 9" in done.out
     mesh = read_mesh("body.vtu")
     assert mesh.volumes.sum() == pytest.approx(8000.0, rel=1e-4)
-    assert np.median(edge_lengths(mesh)) == pytest.approx(9.0, rel=0.35)  # fTetWild is random
+    assert np.median(mesh.edge_lengths) == pytest.approx(9.0, rel=0.35)  # fTetWild is random
     before = Path("body.vtu").read_bytes()
     tactorch("mesh", "cube.stl", "unit=m", "edge_length_mm=9", "out=body.vtu")
     assert Path("body.vtu").read_bytes() == before

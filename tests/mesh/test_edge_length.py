@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from tactorch.errors import MeshError
 from tactorch.mesh import Box, Cylinder, Ellipsoid, Sphere, TetMesh, box_mesh, tetrahedralize
 from tactorch.mesh.closest import closest_points
-from tactorch.mesh.edge_length import edge_lengths, fit_edge_length, mean_ratios
+from tactorch.mesh.edge_length import fit_edge_length, mean_ratios
 from tactorch.mesh.intersections import crossing_triangles
 from tactorch.mesh.snap import onto_surface
 from tactorch.mesh.solids import solid_surface
@@ -47,7 +47,7 @@ def bumpy() -> tuple[np.ndarray, np.ndarray]:
 )
 def test_the_edge_length_is_kept(surface: tuple, length_mm: float) -> None:
     mesh = tetrahedralize(*surface, edge_length_mm=length_mm, cache=False)
-    assert np.median(edge_lengths(mesh)) == pytest.approx(length_mm, rel=0.2)
+    assert np.median(mesh.edge_lengths) == pytest.approx(length_mm, rel=0.2)
     nodes = mesh.points[mesh.surface.nodes()]
     assert closest_points(*surface, nodes).distances.max() < 0.15 * length_mm
     assert mean_ratios(mesh).min() > 0.05
@@ -72,7 +72,7 @@ def test_the_search_finds_the_length(share: float) -> None:
     meshes, shown = Meshes(share), []
     mesh = fit_edge_length(meshes, *CUBE, 3.0, lambda *progress: shown.append(progress))
     expected = 3.0 if share > 0.6 else 3.0 * 1.5 * share
-    assert np.median(edge_lengths(mesh)) == pytest.approx(expected, rel=0.2)
+    assert np.median(mesh.edge_lengths) == pytest.approx(expected, rel=0.2)
     assert len(meshes.calls) <= 6
     assert [number for number, *_ in shown] == [*range(1, len(shown) + 1)]
 
@@ -229,5 +229,5 @@ def test_tetrahedralize_refuses_a_surface_that_crosses_itself() -> None:
     """Two cubes that overlap by 3 mm: their common part would be meshed once."""
     vertices, triangles = CUBE
     both = np.concatenate([vertices, vertices + np.array([17.0, 1.0, 2.0])])
-    with pytest.raises(MeshError, match=r"intersects itself at \d+ places, one near"):
+    with pytest.raises(MeshError, match=r"intersects itself: .* in \d+ places, one near"):
         tetrahedralize(both, np.concatenate([triangles, triangles + len(vertices)]), 5.0)

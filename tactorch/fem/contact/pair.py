@@ -20,39 +20,29 @@ from tactorch.linalg import SymmetricPattern
 
 @dataclass(frozen=True, eq=False)
 class CoupledDiscretisation(Discretisation):
-    """Two parts of one mesh, whose tangent couples nodes across a contact.
+    """Two parts of one mesh, whose tangent couples nodes across a contact."""
 
-    Attributes:
-        coupled: Nodes of both parts from which each pair of points is interpolated, (p, k).
-    """
-
+    #: Nodes of both parts from which each pair of points is interpolated.
     coupled: Int[np.ndarray, "p k"]
 
     @cached_property
     def _node_pattern(self) -> SymmetricPattern:
-        first, second = self._local_pairs
-        a, b = np.triu_indices(self.coupled.shape[1])
-        rows = np.concatenate([self.nodes[:, first].ravel(), self.coupled[:, a].ravel()])
-        cols = np.concatenate([self.nodes[:, second].ravel(), self.coupled[:, b].ravel()])
+        groups = self.nodes, self.coupled
+        pairs = [group.T[np.array(np.triu_indices(group.shape[1]))] for group in groups]
+        rows, cols = np.concatenate([pair.reshape(2, -1) for pair in pairs], axis=1)
         return SymmetricPattern.from_pairs(self.n_nodes, rows, cols)
 
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Points of two surfaces that are opposite to each other along z.
+    """Points of two surfaces that are opposite to each other along z."""
 
-    Attributes:
-        discretisation: Both parts.
-        values: Shape functions of the nodes `discretisation.coupled`, (p, k): positive for the
-            first part, negative for the second.
-        gaps_mm: z of the first part above that of the second at rest, (p,).
-        areas_mm2: Area that each pair stands for, (p,).
-    """
-
-    discretisation: CoupledDiscretisation
+    discretisation: CoupledDiscretisation  # both parts
+    #: Shape functions of the nodes `discretisation.coupled`: positive for the first part, negative
+    #: for the second.
     values: Float[np.ndarray, "p k"]
-    gaps_mm: Float[np.ndarray, " p"]
-    areas_mm2: Float[np.ndarray, " p"]
+    gaps_mm: Float[np.ndarray, " p"]  # z of the first part above that of the second at rest
+    areas_mm2: Float[np.ndarray, " p"]  # that each pair stands for
 
     @cached_property
     def entries(self) -> tuple[Int[np.ndarray, "3 p e"], Float[np.ndarray, "p e"]]:
@@ -66,19 +56,13 @@ class Pairs:
 
 @dataclass(frozen=True, eq=False)
 class PairContact:
-    """Contact of paired points.
-
-    Attributes:
-        pairs: The points.
-        motion_mm: Motion of the second part as a whole, which its displacement does not contain.
-        stiffness: Pressure per penetration, and traction per slip, MPa/mm.
-        sticking: Pairs that do not slip, (p,).
-    """
+    """Contact of paired points."""
 
     pairs: Pairs
+    #: Motion of the second part as a whole, which its displacement does not contain.
     motion_mm: Float[np.ndarray, "3"]
-    stiffness: float
-    sticking: Bool[np.ndarray, " p"]
+    stiffness: float  # pressure per penetration, and traction per slip, MPa/mm
+    sticking: Bool[np.ndarray, " p"]  # pairs that do not slip
 
     def moved(self, load: float) -> "PairContact":
         """Return the contact at a fraction of the motion."""
@@ -128,9 +112,7 @@ class PairContact:
         self, values: Float[np.ndarray, " nnz"], response: ContactResponse, *, project: bool = False
     ) -> None:
         """Add the tangent of the contact, which is positive semi-definite, in place, N/mm."""
-        touching = np.zeros(len(self.sticking), dtype=bool)
-        touching[response.rows] = True
-        springs, (slots, products) = self._springs(touching), self.pairs.entries
+        springs, (slots, products) = self._springs(response.rows), self.pairs.entries
         for axis in range(3):
             rows = np.flatnonzero(springs[:, axis])
             added = springs[rows, axis, None] * products[rows]
@@ -139,17 +121,16 @@ class PairContact:
     def tangent(self, response: ContactResponse) -> sp.csr_matrix:
         """Return the second derivative of the energy by all displacements, N/mm."""
         parts = self.pairs.discretisation
-        touching = np.zeros(len(self.sticking), dtype=bool)
-        touching[response.rows] = True
-        rows = np.repeat(np.arange(len(touching)), parts.coupled.shape[1])
-        entries = self.pairs.values.ravel(), (rows, parts.coupled.ravel())
-        offsets = sp.csr_matrix(entries, shape=(len(touching), parts.n_nodes))
+        count, k = parts.coupled.shape
+        entries = self.pairs.values.ravel(), parts.coupled.ravel(), np.arange(count + 1) * k
+        offsets = sp.csr_matrix(entries, shape=(count, parts.n_nodes))
         by_axis = sp.kron(offsets, sp.identity(3))
-        stiff = sp.diags(self._springs(touching).ravel())
+        stiff = sp.diags(self._springs(response.rows).ravel())
         return sp.csr_matrix(by_axis.T @ stiff @ by_axis)
 
-    def _springs(self, touching: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "p 3"]:
-        """Stiffness of each pair along each axis, N/mm."""
-        kept = np.column_stack([self.sticking, self.sticking, touching])
-        scaled: np.ndarray = self.stiffness * self.pairs.areas_mm2[:, None] * kept
-        return scaled
+    def _springs(self, touching: np.ndarray) -> Float[np.ndarray, "p 3"]:
+        """Stiffness of each pair along each axis, N/mm; along z of those that touch."""
+        kept = np.tile(self.sticking[:, None], 3)
+        kept[:, 2] = False
+        kept[touching, 2] = True
+        return np.asarray(self.stiffness * self.pairs.areas_mm2[:, None] * kept)

@@ -43,33 +43,24 @@ def half_space_compliance(
 
     It is the displacement by one of unit resultant, averaged over the other: K. L. Johnson, Contact
     Mechanics, 1985, eq. (3.41a).
-
-    Args:
-        radii_mm: Radii of the profiles, mm.
-        poisson: Poisson's ratio.
     """
     first, second = radii_mm[..., :, None], radii_mm[..., None, :]
     inner, outer = np.minimum(first, second), np.maximum(first, second)
-    compliance: np.ndarray = (
-        (1.0 - poisson**2) * 3.0 / (4.0 * outer) * (1.0 - 0.2 * (inner / outer) ** 2)
-    )
-    return compliance
+    shared: np.ndarray = 1.0 - 0.2 * (inner / outer) ** 2
+    return (1.0 - poisson**2) * 3.0 / (4.0 * outer) * shared
 
 
 def contact_coefficients(
     compliance: Float[np.ndarray, "s k k"], depths: Float[np.ndarray, "s k"]
 ) -> tuple[Float[np.ndarray, "s k"], Float[np.ndarray, "s k"]]:
-    """Return the coefficients of profiles in contact, and their derivatives by the depth.
+    """Return the coefficients of profiles in contact, and their derivatives by a common depth.
 
-    The least energy over all sets of profiles that do not pull is that of the contact.
+    The least energy over all sets of profiles that do not pull is that of the contact. Without
+    contact both are zero.
 
     Args:
         compliance: Compliance between profiles, one matrix for each press, mm/N.
         depths: Mean depth over each profile, mm; negative where the ball is clear of the body.
-
-    Returns:
-        Coefficients (N), and their derivatives by a depth common to all profiles (N/mm); both zero
-        without contact.
     """
     count, k = depths.shape
     best, found, rates = np.zeros(count), np.zeros((count, k)), np.zeros((count, k))
@@ -119,11 +110,8 @@ def ball_force(
 ) -> Float[np.ndarray, " s"]:
     """Return the force on a rigid ball pressed into a half-space, over its plane-strain modulus.
 
-    By Sneddon (1965), without friction; Hertz's force for small depths. The unit is mm^2.
-
-    Args:
-        depths_mm: Depths, mm; there is no force where they are not positive.
-        ball_mm: Radius of the ball, or one for each depth.
+    By Sneddon (1965), without friction; Hertz's force for small depths. The unit is mm^2. There is
+    no force where the depth is not positive.
     """
     depths = np.maximum(depths_mm, 0.0) / ball_mm
     # Force over depth^1.5 varies little.
@@ -138,13 +126,8 @@ def restriction_ratio(
 ) -> Float[np.ndarray, " s"]:
     """Return the force on a ball in a half-space over that by a sum of few profiles.
 
-    Args:
-        radii_mm: Radii of the profiles of each press.
-        ball_mm: Radius of the ball.
-        depths_mm: Depths of the ball, mm; the ratio is one where it does not touch.
-
-    Returns:
-        The ratios, within 10 % of one: contacts much narrower than all profiles have small forces.
+    It is within 10 % of one, as contacts much narrower than all profiles have small forces, and one
+    where the ball does not touch.
     """
     radii, _, weights = disc_rule()
     balls = ball_mm[:, None, None]

@@ -76,15 +76,15 @@ class _IsochoricMaterial(IsotropicMaterial):
     part is that of Simo and Taylor (1991).
     """
 
-    _c2_fraction = 0.0
+    second_fraction = 0.0  # c2 / (c1 + c2)
 
     def _coefficients(self, j: Array, poisson: Array) -> tuple[Array, Array]:
         """Factors of I1 and I2 in the energy."""
         half_mu = 0.5 * lame(poisson)[1]
-        c1 = (1.0 - self._c2_fraction) * half_mu * j ** (-2.0 / 3.0)
-        if self._c2_fraction == 0.0:
+        c1 = (1.0 - self.second_fraction) * half_mu * j ** (-2.0 / 3.0)
+        if self.second_fraction == 0.0:
             return c1, 0.0
-        return c1, self._c2_fraction * half_mu * j ** (-4.0 / 3.0)
+        return c1, self.second_fraction * half_mu * j ** (-4.0 / 3.0)
 
     def strain_energy(self, i1: Array, i2: Array, j: Array, log_j: Array, poisson: Array) -> Array:
         a, b = self._coefficients(j, poisson)
@@ -132,10 +132,6 @@ class MooneyRivlin(_IsochoricMaterial):
     second_fraction: float = option(
         0.2, "c2 / (c1 + c2), from 0 (Neo-Hookean) to 1", ge=0.0, le=1.0
     )
-
-    @property
-    def _c2_fraction(self) -> float:  # type: ignore[override]
-        return self.second_fraction
 
 
 @dataclass(frozen=True)

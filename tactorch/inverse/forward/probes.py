@@ -10,7 +10,7 @@ from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import EquilibriumResult, Newton, SoftBody, Supports
 from tactorch.fem.contact import Contact
 from tactorch.fem.elements import Discretisation
-from tactorch.fem.reading_rates import ReadingRates
+from tactorch.fem.linearization import ReadingRates
 from tactorch.fem.readings import Wrench, surface_rows
 from tactorch.linalg import map_cases
 from tactorch.recording import Press, Recording

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from tactorch.inverse.fields import InclusionShape
 from tactorch.inverse.forward.footprint import Footprint, loaded_nodes
 from tactorch.mesh import TetMesh
+from tactorch.mesh.quadrature import lattice
 from tactorch.mesh.refine import Sizing
 from tactorch.mesh.sharp_edges import distance_from_sharp_edges
 from tactorch.recording import Press, Recording, refine_recording
@@ -186,7 +187,8 @@ class Rim:
         mesh: TetMesh, nodes: Int[np.ndarray, " k"], inside: Bool[np.ndarray, " t"], radius: float
     ) -> "Rim":
         within = mesh.points[mesh.surface.triangles[inside]]
-        sampled = np.einsum("sc,tcd->tsd", _lattice(_PER_TRIANGLE), within).reshape(-1, 3)
+        places = lattice(_PER_TRIANGLE + 1, margin=0.0, corners=3)
+        sampled = np.einsum("sc,tcd->tsd", places, within).reshape(-1, 3)
         return Rim(nodes, cKDTree(mesh.points[nodes]), cKDTree(sampled), radius)
 
     def sizing(self, per_radius: float, growth: float, inside: float | None = None) -> Sizing:
@@ -208,9 +210,3 @@ class Rim:
             return lengths
 
         return sizing
-
-
-def _lattice(count: int) -> Float[np.ndarray, "points 3"]:
-    """Return barycentric coordinates of points that divide each edge of a triangle."""
-    first, second = np.array([(i, j) for i in range(count + 1) for j in range(count + 1 - i)]).T
-    return np.column_stack([first, second, count - first - second]) / count

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from tactorch.mesh import TetMesh, refine
-from tactorch.mesh.geometry import signed_volumes, vertex_areas
+from tactorch.mesh.geometry import vertex_areas, without_flat_elements
 from tactorch.mesh.refine import Sizing
 from tactorch.sensor.description import GelLayer
 from tactorch.sensor.gel.model import GelMesh, face_triangles
@@ -20,7 +20,6 @@ _GROWTH = 0.7  # of the edge length with the distance from the edge of the conta
 _STEP, _ON_EDGE = 0.03, 0.05
 _EDGE_LAYER, _LAYER = 1.0, 0.05  # deviation of a layer at the edge, and its width
 _LENGTH = 0.5  # of the covariance of the displacement, over the size of the contact
-_MIN_VOLUME = 0.2  # of an element after its nodes are moved, over that before
 
 #: Distance of points of the face at rest (n, 2) from the edge of the contact, mm; positive inside.
 EdgeDistance = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, " n"]]
@@ -79,7 +78,7 @@ class GelFace:
         moved = _onto_edge(flat, triangles, distance, _STEP * edge_mm, half)
         target = points.copy()
         target[on_face] = np.column_stack([moved, gel.height_mm(moved)])
-        points = _without_flat_elements(points, target, tets)
+        points = without_flat_elements(points, target, tets)
         touching = np.zeros(len(points), dtype=bool)
         touching[on_face] = distance(points[on_face, :2]) >= -_ON_EDGE * edge_mm
         return GelFace(TetMesh.create(points, tets), on_face, on_window, touching, distance)
@@ -193,14 +192,3 @@ def _closest_to_edge(
             continue
         chosen[point] = not any(chosen[pair].all() for pair in others[point])
     return chosen
-
-
-def _without_flat_elements(
-    before: Float[np.ndarray, "n 3"], after: Float[np.ndarray, "n 3"], tets: Int[np.ndarray, "m 4"]
-) -> Float[np.ndarray, "n 3"]:
-    """Return moved nodes, with those of elements that became flat where they were."""
-    limits, moved = _MIN_VOLUME * signed_volumes(before, tets), after.copy()
-    while (flat := signed_volumes(moved, tets) < limits).any():
-        nodes = np.unique(tets[flat])
-        moved[nodes] = before[nodes]
-    return moved
