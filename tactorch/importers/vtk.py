@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from tactorch.config import option
 from tactorch.errors import FileError, MeshError
-from tactorch.importers.loads import consistent_loads, pressure_loads
+from tactorch.importers.loads import consistent_loads
 from tactorch.importers.points import PointData, PointOptions
 from tactorch.importers.press_files import press_files
 from tactorch.importers.vtk_files import SUFFIXES, VtkFile, read_vtk
@@ -76,10 +76,7 @@ class VtkOptions(PointOptions):
             raise FileError(
                 f"'{file.path}' has no tetrahedra; give the mesh of the object by format.mesh."
             )
-        try:
-            return TetMesh.create(*compact(self._points(file), file.tets)[:2])
-        except MeshError as error:
-            raise MeshError(f"'{file.path}': {error}") from error
+        return _mesh_of(file, self._points(file))[0]
 
     def _points(self, file: VtkFile) -> Float[np.ndarray, "n 3"]:
         """Return the rest positions, mm."""
@@ -116,14 +113,19 @@ class VtkOptions(PointOptions):
                 row = int(np.isinf(values).any(axis=1).argmax())
                 raise FileError(f"'{file.path}' point {row} has an infinite {name}; repair it.")
         points = self._points(file)
-        triangles = _outward(points, self._boundary(file, points), mesh)
+        triangles = _outward(points, _boundary(file, points), mesh)
         _, first, same = np.unique(points, axis=0, return_index=True, return_inverse=True)
         same, merged = first[same.ravel()], np.zeros_like(points)
         _check_repeated(same, {"displacement": displacement, "force": force}, file)
-        if traction is not None or pressure is not None:
-            np.add.at(
-                merged, same, self._stresses(points, triangles, same, traction, pressure, file)
+        stresses = [v * _MPA[self.stress_unit] for v in (traction, pressure) if v is not None]
+        if stresses and not len(triangles):
+            raise FileError(
+                f"'{file.path}' has no triangles that traction or pressure act on; give a surface, "
+                "or forces."
             )
+        for values in stresses:
+            acting = consistent_loads(points, triangles, np.nan_to_num(values), same)
+            np.add.at(merged, same, acting)
         if force is not None:
             merged[first] += _NEWTON[self.force_unit] * np.nan_to_num(force[first])
         if len(file.tets):
@@ -145,38 +147,6 @@ class VtkOptions(PointOptions):
             areas=nowhere,
             noise=nowhere,
         )
-
-    def _boundary(self, file: VtkFile, points: Float[np.ndarray, "n 3"]) -> np.ndarray:
-        """Return the outward boundary triangles of tetrahedra, else the triangles of the file."""
-        if not len(file.tets):
-            return file.triangles
-        try:
-            nodes, tets, used = compact(points, file.tets)
-            return np.asarray(used[TetMesh.create(nodes, tets).surface.triangles])
-        except MeshError as error:
-            raise MeshError(f"'{file.path}': {error}") from error
-
-    def _stresses(
-        self,
-        points: Float[np.ndarray, "n 3"],
-        triangles: np.ndarray,
-        same: np.ndarray,
-        traction: np.ndarray | None,
-        pressure: np.ndarray | None,
-        file: VtkFile,
-    ) -> Float[np.ndarray, "n 3"]:
-        """Return the forces of tractions and pressures on the triangles of the file, N."""
-        if not len(triangles):
-            raise FileError(
-                f"'{file.path}' has no triangles that traction or pressure act on; give a surface, "
-                "or forces."
-            )
-        scale, forces = _MPA[self.stress_unit], np.zeros_like(points)
-        if traction is not None:
-            forces += consistent_loads(points, triangles, scale * np.nan_to_num(traction), same)
-        if pressure is not None:
-            forces += pressure_loads(points, triangles, scale * np.nan_to_num(pressure[:, 0]), same)
-        return forces
 
 
 def import_vtk(path: str | Path, **options: Any) -> Recording:
@@ -207,22 +177,36 @@ def _files(path: Path) -> list[Path]:
     return files
 
 
+def _mesh_of(
+    file: VtkFile, points: Float[np.ndarray, "n 3"]
+) -> tuple[TetMesh, Int[np.ndarray, " used"]]:
+    """Return the mesh of the tetrahedra of a file, and the points that are its nodes."""
+    nodes, tets, used = compact(points, file.tets)
+    try:
+        return TetMesh.create(nodes, tets), used
+    except MeshError as error:
+        raise MeshError(f"'{file.path}': {error}") from error
+
+
+def _boundary(file: VtkFile, points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "k 3"]:
+    """Return the outward boundary triangles of tetrahedra, else the triangles of the file."""
+    if not len(file.tets):
+        return file.triangles
+    mesh, used = _mesh_of(file, points)
+    return used[mesh.surface.triangles]
+
+
 def _check_repeated(
     same: Int[np.ndarray, " n"], fields: dict[str, np.ndarray | None], file: VtkFile
 ) -> None:
-    """Refuse repeated points whose values differ.
+    """Refuse repeated points whose values differ; `same` is the first at the position of each.
 
     Filters repeat points where normals differ, and copy their values: the force acts once.
-
-    Args:
-        same: First of the points at the position of each.
-        fields: Values at the points.
-        file: The file, for messages.
     """
     for name, values in fields.items():
         if values is None:
             continue
-        unlike = ~((values == values[same]) | (np.isnan(values) & np.isnan(values[same])))
+        unlike = ~np.isclose(values, values[same], rtol=0.0, atol=0.0, equal_nan=True)
         if unlike.any():
             row = int(unlike.any(axis=1).argmax())
             raise FileError(
