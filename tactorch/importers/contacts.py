@@ -28,30 +28,19 @@ _NEIGHBOURS = 16  # contacts, with their own, that tell whether the surface is f
 
 
 class Contacts(NamedTuple):
-    """First contacts.
-
-    Attributes:
-        points_mm: First contact of each probe.
-        depth_mm: Depth of the ball at its origin, (probes,), mm.
-        noise_n: Standard deviation of the noise of a sample.
-        tare_n: Offset of the force sensor, which the forces no longer have.
-        clear: Number of samples that are clear of the surface.
-    """
+    """First contacts."""
 
     points_mm: Float[np.ndarray, "probes 3"]
-    depth_mm: Float[np.ndarray, " probes"]
-    noise_n: float
-    tare_n: float
-    clear: int
+    depth_mm: Float[np.ndarray, " probes"]  # of the ball at its origin
+    noise_n: float  # standard deviation of the noise of a sample
+    tare_n: float  # offset of the force sensor, which the forces no longer have
+    clear: int  # number of samples that are clear of the surface
 
 
 def find_contacts(samples: Samples, noise_n: float | None, source: str) -> tuple[Samples, Contacts]:
     """Return the samples without offset and outliers, and the first contacts.
 
-    Args:
-        samples: The samples.
-        noise_n: Noise of a force; None for an estimate.
-        source: Name of the file in messages.
+    The noise of a force is estimated where it is None; `source` is the name of the file.
 
     Raises:
         FileError: no probe's force rises with the depth.
@@ -130,11 +119,11 @@ def _first_depths(samples: Samples, noise: float) -> Float[np.ndarray, " probes"
     travel = np.zeros(count)
     np.maximum.at(travel, samples.probe, samples.advance_mm)
     grid = np.linspace(-float(np.median(travel)), 0.5 * radius, 2 * _STEPS)
-    fits = [_fit(samples, np.full(count, depth)) for depth in grid]
-    costs = np.array([cost for cost, _ in fits]) / noise**2
+    fits = np.array([_fit(samples, np.full(count, depth)) for depth in grid])
+    costs, moduli = fits[:, 0] / noise**2, fits[:, 1]
     first = float(np.median(_first_forces(samples)))
     if first > _CONTACT_NOISE * noise / np.sqrt(count):
-        begins = np.array([modulus for _, modulus in fits]) * ball_force(grid, radius)[:, None]
+        begins = moduli * ball_force(grid, radius)[:, None]
         prior = ((begins - first) / (_THRESHOLD * first)) ** 2
     else:
         common = grid[np.argmin(np.median(costs, axis=1))]

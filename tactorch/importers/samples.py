@@ -25,29 +25,17 @@ NAMED = 8  # probes that a message names
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Samples of probes.
+    """Samples of probes."""
 
-    Attributes:
-        numbers: Number of each probe in the file.
-        normals: Outward unit normal of each probe.
-        origins_mm: A point on the axis of each probe at which its ball touches nothing or little.
-        radius_mm: Radius of the ball.
-        probe: Index of the probe of each sample.
-        centres_mm: Centre of the ball.
-        advance_mm: Motion along minus the normal from the origin.
-        force_n: Force on the ball along the normal.
-        count: Number of samples that were averaged.
-    """
-
-    numbers: Int[np.ndarray, " probes"]
-    normals: Float[np.ndarray, "probes 3"]
-    origins_mm: Float[np.ndarray, "probes 3"]
-    radius_mm: float
-    probe: Int[np.ndarray, " s"]
-    centres_mm: Float[np.ndarray, "s 3"]
-    advance_mm: Float[np.ndarray, " s"]
-    force_n: Float[np.ndarray, " s"]
-    count: Float[np.ndarray, " s"]
+    numbers: Int[np.ndarray, " probes"]  # of the probes in the file
+    normals: Float[np.ndarray, "probes 3"]  # outward unit normals
+    origins_mm: Float[np.ndarray, "probes 3"]  # on their axes, where the ball touches at most a bit
+    radius_mm: float  # of the ball
+    probe: Int[np.ndarray, " s"]  # index of the probe
+    centres_mm: Float[np.ndarray, "s 3"]  # of the ball
+    advance_mm: Float[np.ndarray, " s"]  # motion along minus the normal from the origin
+    force_n: Float[np.ndarray, " s"]  # on the ball along the normal
+    count: Float[np.ndarray, " s"]  # number of samples that were averaged
 
     def keep(self, kept: Bool[np.ndarray, " s"]) -> "Samples":
         """Return some of the samples, and the probes that have any."""
@@ -68,12 +56,10 @@ class Samples:
         rank = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
         parts = np.minimum(rank * depths // np.repeat(sizes, sizes), depths - 1)
         key = self.probe[order] * depths + parts
-        keys, group, count = np.unique(key, return_inverse=True, return_counts=True)
+        keys, first, count = np.unique(key, return_index=True, return_counts=True)
 
         def mean(values: np.ndarray) -> np.ndarray:
-            total = np.zeros((len(count), *values.shape[1:]))
-            np.add.at(total, group, values[order])
-            return total / count.reshape(-1, *(1,) * (values.ndim - 1))
+            return (np.add.reduceat(values[order], first).T / count).T
 
         return replace(
             self, probe=keys // depths, centres_mm=mean(self.centres_mm),
@@ -82,16 +68,7 @@ class Samples:
 
 
 def read_samples(path: Path, radius_mm: float | None, *, check_units: bool) -> Samples:
-    """Read a file; rows and probes that cannot be used are left out, and named.
-
-    Args:
-        path: The file.
-        radius_mm: Radius of the ball; None for the distance of its centre from the contacts.
-        check_units: Whether magnitudes that suggest a wrong unit are refused.
-
-    Raises:
-        FileError: the file cannot be used.
-    """
+    """Read the samples of a file; see `make_samples`."""
     sheet, required = read_sheet(path, "palpation"), ("probe", *_POSITION, *_FORCE)
     missing = [name for name in required if name not in sheet.columns]
     if missing:
@@ -145,9 +122,9 @@ def make_samples(
     )
     if check_units:
         _check_units(path, centres[~bad], forces[~bad])
-    ends = [_first_and_last(np.flatnonzero((probe == k) & ~bad)) for k in range(len(numbers))]
-    starts = np.array([a for a, _ in ends])
-    motion = centres[[b for _, b in ends]] - centres[starts]
+    rows = [np.flatnonzero((probe == k) & ~bad) for k in range(len(numbers))]
+    starts, ends = np.array([(r[0], r[-1]) if len(r) else (0, 0) for r in rows]).T
+    motion = centres[ends] - centres[starts]
     travel = np.linalg.norm(motion, axis=1)
     normals = -motion / np.maximum(travel, 1e-300)[:, None]
     radius = radius_mm
@@ -188,25 +165,20 @@ def make_samples(
     return samples.keep(~bad & usable[probe])
 
 
-def _first_and_last(rows: Int[np.ndarray, " k"]) -> tuple[int, int]:
-    return (int(rows[0]), int(rows[-1])) if len(rows) else (0, 0)
-
-
 def _check_units(
     path: Path, centres: Float[np.ndarray, "s 3"], forces: Float[np.ndarray, "s 3"]
 ) -> None:
     span = float(np.linalg.norm(np.ptp(centres, axis=0))) if len(centres) else 0.0
-    if not 1.0 < span < 1e4:
-        raise FileError(
-            f"'{path}': positions span {span:.3g} mm; another unit? Convert to mm, or pass "
-            "format.check_units=false."
-        )
-    largest = float(np.linalg.norm(forces, axis=1).max())
-    if not 1e-3 < largest < 1e3:
-        raise FileError(
-            f"'{path}': forces reach {largest:.3g} N; another unit? Convert to N, or pass "
-            "format.check_units=false."
-        )
+    largest = float(np.linalg.norm(forces, axis=1).max(initial=0.0))
+    for found, value, unit, low, high in (
+        ("positions span", span, "mm", 1.0, 1e4),
+        ("forces reach", largest, "N", 1e-3, 1e3),
+    ):
+        if not low < value < high:
+            raise FileError(
+                f"'{path}': {found} {value:.3g} {unit}; another unit? Convert to {unit}, or pass "
+                "format.check_units=false."
+            )
 
 
 def _radius(
