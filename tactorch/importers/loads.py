@@ -38,6 +38,13 @@ def consistent_loads(
     return _sums(shares * weights[:, None], triangles, len(points))
 
 
+def push_direction(forces: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"] | None:
+    """Return the unit vector of the total force; None of a press from two sides, by round-off."""
+    total = forces.sum(axis=0)
+    length = float(np.linalg.norm(total))
+    return total / length if length > 1e-9 * np.abs(forces).sum() else None
+
+
 def _loaded_triangles(
     vectors: Float[np.ndarray, "k 3"],
     acts: Bool[np.ndarray, "k 3"],

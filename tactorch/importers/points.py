@@ -14,7 +14,7 @@ from tactorch.config import Options, option
 from tactorch.config.registry import unknown_choice
 from tactorch.errors import ConfigError, FileError, RecordingError
 from tactorch.fem import MATERIALS
-from tactorch.importers.loads import consistent_loads
+from tactorch.importers.loads import consistent_loads, push_direction
 from tactorch.mesh import TetMesh
 from tactorch.mesh.closest import Closest, closest_points
 from tactorch.mesh.sharp_edges import distance_from_sharp_edges
@@ -211,8 +211,6 @@ def _press(given: PointData, mesh: TetMesh, options: PointOptions) -> Press:
     forces = _forces(data, mesh, closest)
     fixed, springs = _supports(data, mesh, options)
     noise = np.where(np.isfinite(data.noise), data.noise, options.noise_mm or np.nan)
-    total = forces.sum(axis=0)
-    length = float(np.linalg.norm(total))
     return Press(
         forces,
         np.isfinite(displacement),
@@ -220,7 +218,7 @@ def _press(given: PointData, mesh: TetMesh, options: PointOptions) -> Press:
         fixed=fixed,
         springs=springs,
         noise_mm=_one_noise(data, noise, at_node & np.isfinite(data.displacement).any(axis=1)),
-        direction=total / length if length > 1e-9 * np.abs(forces).sum() else None,
+        direction=push_direction(forces),
         name=data.name,
         step=data.step,
         surface=_readings(data, at_node, noise),

@@ -4,7 +4,7 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from jaxtyping import Float
@@ -19,17 +19,11 @@ _MISSING = ("", "nan", "na", "null", "none")
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A table.
-
-    Attributes:
-        path: Its file.
-        columns: Cells of each column, text or numbers.
-        lines: What messages call each row.
-    """
+    """A table."""
 
     path: Path
-    columns: dict[str, Sequence[Any]]
-    lines: Sequence[str]
+    columns: dict[str, Sequence[Any]]  # cells, text or numbers
+    lines: Sequence[str]  # what messages call each row
 
     def numbers(self, name: str, *, finite: bool = True) -> Float[np.ndarray, " rows"]:
         """Return a column of numbers, NaN where a cell is empty.
@@ -54,9 +48,8 @@ class Sheet:
             return float(cell)
         except (TypeError, ValueError):
             self._refuse(name, row)
-        return float("nan")
 
-    def _refuse(self, name: str, row: int) -> None:
+    def _refuse(self, name: str, row: int) -> NoReturn:
         raise FileError(
             f"'{self.path}' {self.lines[row]}, column {name!r}, has {self.columns[name][row]!r}, "
             "which is not a finite number; repair it, or leave the cell empty."
