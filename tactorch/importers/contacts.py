@@ -41,9 +41,6 @@ def find_contacts(samples: Samples, noise_n: float | None, source: str) -> tuple
     """Return the samples without offset and outliers, and the first contacts.
 
     The noise of a force is estimated where it is None; `source` is the name of the file.
-
-    Raises:
-        FileError: no probe's force rises with the depth.
     """
     noise = noise_n or _noise(samples)
     samples = _without_outliers(samples, noise, source)
@@ -103,11 +100,6 @@ def _noise(samples: Samples) -> float:
     return float(max(np.median(np.abs(second[same])) / (0.6745 * np.sqrt(6.0)), 1e-6))
 
 
-def _half_space(samples: Samples, depths: Float[np.ndarray, " probes"]) -> np.ndarray:
-    """Force of each sample on a half-space of unit plane-strain modulus, N/MPa."""
-    return ball_force(samples.advance_mm + depths[samples.probe], samples.radius_mm)
-
-
 def _first_depths(samples: Samples, noise: float) -> Float[np.ndarray, " probes"]:
     """Return the depth of the ball at each origin that fits the forces best, mm.
 
@@ -119,8 +111,10 @@ def _first_depths(samples: Samples, noise: float) -> Float[np.ndarray, " probes"
     travel = np.zeros(count)
     np.maximum.at(travel, samples.probe, samples.advance_mm)
     grid = np.linspace(-float(np.median(travel)), 0.5 * radius, 2 * _STEPS)
-    fits = np.array([_fit(samples, np.full(count, depth)) for depth in grid])
-    costs, moduli = fits[:, 0] / noise**2, fits[:, 1]
+    sums = np.array([_sums(samples, np.full(count, depth)) for depth in grid])
+    mixed, squares, total = sums.swapaxes(0, 1)
+    moduli = np.maximum(mixed, 0.0) / np.maximum(squares, 1e-300)  # that fit the forces best
+    costs = (total - moduli**2 * squares) / noise**2
     first = float(np.median(_first_forces(samples)))
     if first > _CONTACT_NOISE * noise / np.sqrt(count):
         begins = moduli * ball_force(grid, radius)[:, None]
@@ -140,16 +134,15 @@ def _first_forces(samples: Samples) -> Float[np.ndarray, " probes"]:
     return first
 
 
-def _fit(
-    samples: Samples, depths: Float[np.ndarray, " probes"]
-) -> tuple[Float[np.ndarray, " probes"], Float[np.ndarray, " probes"]]:
-    """Return the sum of squares of each probe left by the best modulus (N^2), and that (MPa)."""
-    force, unit = samples.force_n, _half_space(samples, depths)
-    count = len(samples.numbers)
-    pairs = ((unit, force), (unit, unit), (force, force))
-    mixed, squares, total = (np.bincount(samples.probe, a * b, count) for a, b in pairs)
-    modulus = np.where(squares > 0.0, np.maximum(mixed, 0.0) / np.maximum(squares, 1e-300), 0.0)
-    return total - modulus**2 * squares, modulus
+def _sums(samples: Samples, depths: Float[np.ndarray, " probes"]) -> Float[np.ndarray, "3 probes"]:
+    """Return the sums over each probe of f u, u u and f f, of forces f (N).
+
+    u are the forces on a half-space of unit plane-strain modulus at these depths, N/MPa.
+    """
+    force = samples.force_n
+    unit = ball_force(samples.advance_mm + depths[samples.probe], samples.radius_mm)
+    products = (unit * force, unit * unit, force * force)
+    return np.array([np.bincount(samples.probe, p, len(samples.numbers)) for p in products])
 
 
 def _without_outliers(samples: Samples, noise: float, source: str) -> Samples:
@@ -196,9 +189,7 @@ def _rising(
     samples: Samples, depths: Float[np.ndarray, " probes"], noise: float, source: str
 ) -> tuple[Samples, Float[np.ndarray, " probes"]]:
     """Leave out probes whose force does not rise with the depth."""
-    unit, count = _half_space(samples, depths), len(samples.numbers)
-    squares = np.bincount(samples.probe, unit**2, count)
-    mixed = np.bincount(samples.probe, unit * samples.force_n, count)
+    mixed, squares, _ = _sums(samples, depths)
     flat = ~(mixed > 3.0 * noise * np.sqrt(squares))
     name_probes(source, samples.numbers[flat], "a force that does not rise")
     if flat.all():

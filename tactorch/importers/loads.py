@@ -31,7 +31,9 @@ def consistent_loads(
     vectors = area_vectors(points, triangles)
     corners = triangles if same is None else same[triangles]
     values = loads.reshape(len(points), -1)
-    loaded = _loaded_triangles(vectors, values.any(axis=1)[triangles], corners, len(points))
+    loaded = _loaded_triangles(
+        vectors, np.asarray(values.any(axis=1))[triangles], corners, len(points)
+    )
     vectors, triangles = vectors[loaded], triangles[loaded]
     weights = -vectors if loads.ndim == 1 else np.linalg.norm(vectors, axis=1, keepdims=True)
     shares = (values[triangles] + values[triangles].sum(axis=1, keepdims=True)) / 12.0

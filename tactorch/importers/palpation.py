@@ -72,13 +72,7 @@ class PalpationSettings(Options):
     check_units: bool = option(True, "Refuse magnitudes that suggest a wrong unit")
 
     def record(self, samples: Samples, path: str | Path) -> Recording:
-        """Return the recording of the samples of a file: contacts, object and presses.
-
-        Raises:
-            FileError: No probe's force rises with the depth.
-            MeshError: The surface or the mesh cannot be used.
-            RecordingError: The samples do not make a valid recording.
-        """
+        """Return the recording of the samples of a file: contacts, object and presses."""
         samples, contacts = find_contacts(samples, self.noise_n, str(path))
         samples = samples.reduced(self.depths)
         mesh, fixed, above_mm = self._body(samples, contacts)

@@ -55,13 +55,7 @@ class PointOptions(Options):
     def record(
         self, mesh: TetMesh, presses: "list[PointData]", source: str | Path, importer: str
     ) -> Recording:
-        """Return the recording of presses.
-
-        Raises:
-            ConfigError: The material is unknown.
-            FileError: A point is far from the surface, or lacks what a press needs.
-            RecordingError: The presses are not consistent.
-        """
+        """Return the recording of presses."""
         if self.material not in MATERIALS:
             raise ConfigError(unknown_choice("format.material", self.material, MATERIALS.names()))
         try:
@@ -102,29 +96,23 @@ class PointData:
     springs: Float[np.ndarray, "k 3"] | None = None
     step: int = 0
 
-    def refuse(self, wrong: Bool[np.ndarray, " k"], fault: Callable[[int], str]) -> None:
+    def refuse(self, wrong: Bool[np.ndarray, " k"], fault: str) -> None:
         """Raise an error that names the first of the points that are wrong, and their fault."""
         if wrong.any():
-            row = int(wrong.argmax())
-            raise FileError(self.where(row) + fault(row))
+            raise FileError(self.where(int(wrong.argmax())) + fault)
 
     def located(self, mesh: TetMesh, max_distance_mm: float) -> tuple["PointData", Closest]:
-        """Return the data with nodes and positions, and the closest points of the surface.
-
-        Raises:
-            FileError: A node does not exist or appears twice, or a point is far from the surface.
-        """
+        """Return the data with nodes and positions, and the closest points of the surface."""
+        beyond = self.nodes >= mesh.n_points
         self.refuse(
-            self.nodes >= mesh.n_points,
-            lambda row: (
-                f" names node {self.nodes[row]}, but the mesh has {mesh.n_points} "
-                f"(0 to {mesh.n_points - 1}); is it counted from 1, or of another mesh?"
-            ),
+            beyond,
+            f" names node {self.nodes[beyond.argmax()]}, but the mesh has {mesh.n_points} "
+            f"(0 to {mesh.n_points - 1}); is it counted from 1, or of another mesh?",
         )
         placed = self.nodes >= 0
         self.refuse(
             ~placed & ~np.isfinite(self.points).all(axis=1),
-            lambda row: " has neither a node nor a position x, y, z; give one of them.",
+            " has neither a node nor a position x, y, z; give one of them.",
         )
         points = np.where(placed[:, None], mesh.points[self.nodes], self.points)
         nearest_mm, nearest = cKDTree(mesh.points).query(points)
@@ -172,10 +160,9 @@ class PointData:
         given = np.isfinite(self.normals).all(axis=1)
         self._warn_at_edges(mesh, nodes, closest, given)
         lengths = np.linalg.norm(self.normals, axis=1)
-        self.refuse(
-            given & ~(np.abs(lengths - 1.0) < _UNIT),
-            lambda row: f" has a normal of length {lengths[row]:.3g}; give unit vectors.",
-        )
+        wrong = given & ~(np.abs(lengths - 1.0) < _UNIT)
+        length = lengths[wrong.argmax()]
+        self.refuse(wrong, f" has a normal of length {length:.3g}; give unit vectors.")
         normals = np.where(given[:, None], self.normals, normals)
         return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
@@ -235,12 +222,12 @@ def _readings(
     every = np.concatenate([rows, along])
     if not len(every):
         return None
-    unknown = every[~(noise[every] > 0.0)]
-    if len(unknown):
-        raise FileError(
-            f"{data.where(int(unknown[0]))}: a displacement at a point that is no node, or along a "
-            "normal, needs its noise; give format.noise_mm, or a column 'noise'."
-        )
+    unknown = (components.any(axis=1) | np.isfinite(data.along_normal)) & ~(noise > 0.0)
+    data.refuse(
+        unknown,
+        ": a displacement at a point that is no node, or along a normal, needs its noise; give "
+        "format.noise_mm, or a column 'noise'.",
+    )
     return SurfaceReading(
         data.points[every],
         np.concatenate([np.eye(3)[axes], data.normals[along]]),
@@ -260,10 +247,8 @@ def _forces(data: PointData, mesh: TetMesh, closest: Closest) -> Float[np.ndarra
     bare = (tractions.any(axis=1) | (pressure != 0.0)) & ~by_area
     data.refuse(
         bare & ~at_node,
-        lambda row: (
-            ": a traction or pressure at a point that is no node needs a column 'area'; "
-            "give it, or forces."
-        ),
+        ": a traction or pressure at a point that is no node needs a column 'area'; give it, or "
+        "forces.",
     )
     stresses = tractions - pressure[:, None] * data.normals
     at_points = np.nan_to_num(data.forces) + np.nan_to_num(data.areas)[:, None] * stresses
@@ -286,13 +271,11 @@ def _supports(
 ) -> tuple[Bool[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
     fixed, springs = np.zeros((mesh.n_points, 3), dtype=bool), np.zeros((mesh.n_points, 3))
     at_node = data.nodes >= 0
-    if data.fixed is not None or data.springs is not None:
-        given = [np.nan_to_num(v) for v in (data.fixed, data.springs) if v is not None]
+    given = [np.nan_to_num(v) for v in (data.fixed, data.springs) if v is not None]
+    if given:
         data.refuse(
             ~at_node & np.hstack(given).any(axis=1),
-            lambda row: (
-                " is fixed or on springs, but is no node of the mesh; state supports at nodes."
-            ),
+            " is fixed or on springs, but is no node of the mesh; state supports at nodes.",
         )
         nodes = data.nodes[at_node]
         if data.fixed is not None:
@@ -320,9 +303,6 @@ def _one_noise(
         return None
     data.refuse(
         rows & ~np.isclose(noise, known[0], rtol=1e-6),
-        lambda row: (
-            f": the noise at nodes differs within press '{data.name}'; give one value for "
-            "each press."
-        ),
+        f": the noise at nodes differs within press '{data.name}'; give one value for each press.",
     )
     return float(known[0])

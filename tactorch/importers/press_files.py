@@ -11,9 +11,6 @@ def press_files(path: Path, suffixes: Sequence[str], kind: str) -> list[Path]:
     """Return a file, or the files with these suffixes in a folder, press2 before press10.
 
     `kind` names them in messages.
-
-    Raises:
-        FileError: The folder has no such file, or the file has another suffix.
     """
     if not path.is_dir():
         if path.suffix.lower() not in suffixes:

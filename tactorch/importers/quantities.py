@@ -32,6 +32,11 @@ UNITS: dict[str, dict[str, float]] = {
     **{f"fixed_{axis}": _NONE for axis in _AXES},
     **{f"spring_{axis}": _STIFFNESSES for axis in _AXES},
 }
+_COLUMNS = {
+    f"{quantity}_{unit}" if unit else quantity: (quantity, factor)
+    for quantity, units in UNITS.items()
+    for unit, factor in {"": 1.0, **units}.items()
+}
 
 
 def vector(letter: str) -> tuple[str, str, str]:
@@ -88,14 +93,7 @@ def assign(
 
 def parse(name: str) -> tuple[str, float] | None:
     """Return the quantity and the factor of its unit that a name of a column states."""
-    text = name.strip().lower()
-    for quantity, units in UNITS.items():
-        if text == quantity:
-            return quantity, 1.0
-        unit = text.removeprefix(f"{quantity}_")
-        if unit != text and unit in units:
-            return quantity, units[unit]
-    return None
+    return _COLUMNS.get(name.strip().lower())
 
 
 def _suffix(text: str, quantity: str) -> float:

@@ -108,9 +108,6 @@ def make_samples(
         radius_mm: Radius of the ball; None for the distance of its centre from the contacts.
         surface: First contact and outward normal of the probe of each row, where the file has them.
         check_units: Whether magnitudes that suggest a wrong unit are refused.
-
-    Raises:
-        FileError: The rows cannot be used.
     """
     bad = ~np.isfinite(np.column_stack([probes, centres, forces])).all(axis=1)
     if bad.any():

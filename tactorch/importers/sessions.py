@@ -55,9 +55,6 @@ def split_presses(
 
     Where a press has many samples, they are averaged over steps of its motion. The forces have no
     offset. `source` is the name of the file in messages.
-
-    Raises:
-        FileError: The session begins in contact, or has no press.
     """
     offset, contact_n = _rest(session, detection, source)
     forces = session.forces_n - offset

@@ -26,11 +26,7 @@ class Sheet:
     lines: Sequence[str]  # what messages call each row
 
     def numbers(self, name: str, *, finite: bool = True) -> Float[np.ndarray, " rows"]:
-        """Return a column of numbers, NaN where a cell is empty.
-
-        Raises:
-            FileError: A cell is not a number, or it is infinite and `finite` is required.
-        """
+        """Return a column of numbers, NaN where a cell is empty."""
         values = np.array([self._number(name, i) for i in range(len(self.lines))])
         if finite and np.isinf(values).any():
             self._refuse(name, int(np.isinf(values).argmax()))
@@ -60,10 +56,6 @@ def read_sheet(path: str | Path, what: str = "table of presses") -> Sheet:
     """Read a table with a line of names: text with commas, semicolons or tabs, or Parquet.
 
     Lines that are empty or start with # are ignored. Messages name the expected content `what`.
-
-    Raises:
-        ConfigError: pyarrow, which reads Parquet, is not installed.
-        FileError: The file is missing, damaged or empty, has no rows, or names a column twice.
     """
     source = require_file(path, what)
     sheet = _parquet(source) if source.suffix.lower() == ".parquet" else _text(source)

@@ -20,6 +20,7 @@ from tactorch.errors import FileError, MeshError
 from tactorch.importers.loads import consistent_loads
 from tactorch.importers.points import PointData, PointOptions
 from tactorch.importers.press_files import press_files
+from tactorch.importers.quantities import UNITS
 from tactorch.importers.vtk_files import SUFFIXES, VtkFile, read_vtk
 from tactorch.mesh import TetMesh, compact, read_mesh
 from tactorch.mesh.closest import closest_points
@@ -27,9 +28,6 @@ from tactorch.mesh.geometry import area_vectors
 from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
-_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3}
-_NEWTON = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
-_MPA = {"MPa": 1.0, "kPa": 1e-3, "Pa": 1e-6}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +66,7 @@ class VtkOptions(PointOptions):
 
     @property
     def _scale(self) -> float:
-        return _MM[self.file_unit or self.unit]
+        return UNITS["x"][self.file_unit or self.unit]
 
     def _rest(self, file: VtkFile) -> TetMesh:
         """Return the mesh of the first file."""
@@ -97,18 +95,18 @@ class VtkOptions(PointOptions):
         force = file.field("force", self.force, 3)
         traction = file.field("traction", self.traction, 3)
         pressure = file.field("pressure", self.pressure, 1)
-        loads = [values for values in (force, traction, pressure) if values is not None]
-        if displacement is None or not loads:
-            loading = ("force", "traction", "pressure")
-            lacking = ("displacement",) if displacement is None else loading
+        loads = {"force": force, "traction": traction, "pressure": pressure}
+        given = [values for values in loads.values() if values is not None]
+        if displacement is None or not given:
+            lacking = ("displacement",) if displacement is None else loads
             raise FileError(
                 f"'{file.path}' has no field that is recognised as {' or '.join(lacking)}; "
                 f"{file.listing()} Choose one by {' or '.join(f'format.{w}' for w in lacking)}."
             )
-        if not any(np.nan_to_num(values).any() for values in (displacement, *loads)):
+        if not any(np.nan_to_num(values).any() for values in (displacement, *given)):
             _log.info("'%s' is left out: nothing moves and nothing acts.", file.path)
             return None
-        for name, values in (("displacement", displacement), ("load", np.column_stack(loads))):
+        for name, values in (("displacement", displacement), ("load", np.column_stack(given))):
             if np.isinf(values).any():
                 row = int(np.isinf(values).any(axis=1).argmax())
                 raise FileError(f"'{file.path}' point {row} has an infinite {name}; repair it.")
@@ -117,7 +115,8 @@ class VtkOptions(PointOptions):
         _, first, same = np.unique(points, axis=0, return_index=True, return_inverse=True)
         same, merged = first[same.ravel()], np.zeros_like(points)
         _check_repeated(same, {"displacement": displacement, "force": force}, file)
-        stresses = [v * _MPA[self.stress_unit] for v in (traction, pressure) if v is not None]
+        scale = UNITS["p"][self.stress_unit.lower()]
+        stresses = [scale * values for values in (traction, pressure) if values is not None]
         if stresses and not len(triangles):
             raise FileError(
                 f"'{file.path}' has no triangles that traction or pressure act on; give a surface, "
@@ -127,7 +126,7 @@ class VtkOptions(PointOptions):
             acting = consistent_loads(points, triangles, np.nan_to_num(values), same)
             np.add.at(merged, same, acting)
         if force is not None:
-            merged[first] += _NEWTON[self.force_unit] * np.nan_to_num(force[first])
+            merged[first] += UNITS["fx"][self.force_unit.lower()] * np.nan_to_num(force[first])
         if len(file.tets):
             used = np.union1d(triangles, np.flatnonzero(merged.any(axis=1)))
             first = np.intersect1d(first, used)

@@ -54,9 +54,6 @@ class VtkFile:
             what: Quantity, of `NAMES`.
             name: Name of the field; None to choose by its name.
             width: Number of components.
-
-        Raises:
-            FileError: There is no field of the name, several may be meant, or its shape is wrong.
         """
         if name is None:
             found = [n for n in self.fields if re.sub("[^a-z]", "", n.lower()) in NAMES[what]]
@@ -89,12 +86,7 @@ class VtkFile:
 
 
 def read_vtk(path: str | Path) -> VtkFile:
-    """Read a file.
-
-    Raises:
-        ConfigError: vtk, which reads .vtp, is not installed.
-        FileError: The file is missing, damaged or empty.
-    """
+    """Read a file."""
     source = require_file(path, "VTK file")
     if source.suffix.lower() == ".vtp":
         return _read_vtp(source)
