@@ -64,7 +64,6 @@ def append_press(path: str | Path, press: Press) -> int:
     """
     with open_recording(path) as reader:
         count, tail = reader.count(), reader.tail
-        press.validate(reader.mesh().n_points)
         Recording(**reader.fields(presses=(press,)), check_units=False)
         record = tail_record(count, hdf5_image(lambda file: write_press(file, press)))
         is_newer = press.errors is not None and reader.version < ERRORS_VERSION

@@ -1,8 +1,8 @@
 """What prescribes a press by a rigid probe, and data that are not displacements of nodes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from tactorch.fem.contact import Probe
 
 _RESOLUTION = 1e-3  # of a depth, over the largest distance within a probe
-_IDENTITY: Any = None  # replaced by the unit matrix on construction
-_ORIGIN: Any = None  # replaced by the origin on construction
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +35,7 @@ class ProbePose:
 
     probe: "Probe"
     position_mm: Float[np.ndarray, "3"]
-    rotation: Float[np.ndarray, "3 3"] = _IDENTITY
+    rotation: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
     deviation_mm: float = 0.0
 
     def __post_init__(self) -> None:
@@ -46,14 +44,7 @@ class ProbePose:
                 f"probe: deviation_mm is {self.deviation_mm}; give a standard deviation of at "
                 "least 0 mm"
             )
-        rotation = np.eye(3) if self.rotation is None else self.rotation
-        for name, value, shape in (
-            ("position_mm", self.position_mm, (3,)),
-            ("rotation", rotation, (3, 3)),
-        ):
-            array = make_array(value, shape, f"probe: {name}")
-            require_finite(array, f"probe: {name}")
-            object.__setattr__(self, name, array)
+        _set(self, "probe", position_mm=(3,), rotation=(3, 3))
         product = self.rotation @ self.rotation.T
         if not np.allclose(product, np.eye(3), atol=1e-6) or np.linalg.det(self.rotation) < 0.0:
             raise RecordingError("probe: rotation is not a rotation; give an orthonormal matrix")
@@ -104,14 +95,11 @@ class ForceReading:
     axes: Float[np.ndarray, "k 6"]
     values: Float[np.ndarray, " k"]
     deviations: Float[np.ndarray, " k"]
-    about_mm: Float[np.ndarray, "3"] = _ORIGIN
+    about_mm: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
         count = len(np.atleast_1d(self.values))
-        about = np.zeros(3) if self.about_mm is None else self.about_mm
-        _set(self, "force", axes=(count, 6), values=(count,), deviations=(count,))
-        object.__setattr__(self, "about_mm", make_array(about, (3,), "force: about_mm"))
-        require_finite(self.about_mm, "force: about_mm")
+        _set(self, "force", axes=(count, 6), values=(count,), deviations=(count,), about_mm=(3,))
         _require_deviations(self.deviations, "force")
         if not self.axes.any(axis=1).all():
             raise RecordingError("force: axes has a row of zeros; give the measured components")
