@@ -52,48 +52,6 @@ def draw_inside(
     )
 
 
-def draw_inclusions(
-    rng: Rng,
-    body: Shape,
-    names: Sequence[str],
-    place: Callable[[], tuple[Float[np.ndarray, "3"], float]],
-    youngs: Callable[[], float],
-    gap_mm: float,
-) -> tuple[list[tuple[Shape, Real]], list[dict[str, Any]]]:
-    """Draw inclusions of given shapes; those without room are left out, except for the first.
-
-    Args:
-        rng: Generator.
-        body: The body that they are inside.
-        names: Their shapes, of `INCLUSIONS`.
-        place: Draws a centre and a half-width, mm.
-        youngs: Draws a modulus, MPa.
-        gap_mm: Smallest distance between them, mm.
-
-    Returns:
-        Shapes with their moduli (MPa), and their parameters as plain values.
-    """
-    inclusions: list[tuple[Shape, Real]] = []
-    parts: list[dict[str, Any]] = []
-    for name in names:
-
-        def propose(name: str = name) -> Proposal:
-            center, half = place()
-            pose = {"shape": name, "half_mm": half, "center_mm": center.tolist()}
-            return INCLUSIONS[name](rng, center, half), pose
-
-        try:
-            shape, pose = draw_inside(body, propose, [shape for shape, _ in inclusions], gap_mm)
-        except ConfigError:
-            if inclusions:
-                break
-            raise
-        modulus = youngs()
-        inclusions.append((shape, modulus))
-        parts.append({**pose, "inclusion_mpa": modulus})
-    return inclusions, parts
-
-
 def draw_background(
     rng: Rng, name: str, youngs: float, side: float, center: Float[np.ndarray, "3"]
 ) -> Real | Background:

@@ -32,12 +32,10 @@ class VoxelShape(Shape):
 
     def signed_distance(self, points: Points) -> Distances:
         """Return the distance of each point (n, 3) to the voxels' surface, mm, within a voxel."""
-        inverse = np.linalg.inv(self.voxels.volume.affine)
-        indices = points @ inverse[:3, :3].T + inverse[:3, 3] + 1.0  # one for the padding
-        distances: np.ndarray = ndimage.map_coordinates(
-            self._distances, indices.T, order=1, mode="nearest"
+        indices = self.voxels.volume.coordinates(points) + 1.0  # one for the padding
+        return np.asarray(
+            ndimage.map_coordinates(self._distances, indices.T, order=1, mode="nearest")
         )
-        return distances
 
     def bounds(self) -> Corners:
         """Return the lowest and the highest corner of the smooth surface, mm."""
@@ -58,27 +56,21 @@ class VoxelShape(Shape):
         half = 0.5 * float(sizes.min())
         outside = ndimage.distance_transform_edt(~mask, sampling=sizes)
         inside = ndimage.distance_transform_edt(mask, sampling=sizes)
-        distances: np.ndarray = np.where(mask, half - inside, outside - half)
-        return distances
+        return np.where(mask, half - inside, outside - half)
 
 
 @dataclass(frozen=True, eq=False)
 class RegionModuli:
-    """Young's modulus of the label at a point.
-
-    Attributes:
-        voxels: The body.
-        moduli_mpa: Modulus of each label, MPa.
-    """
+    """Young's modulus of the label at a point."""
 
     voxels: Body
     moduli_mpa: dict[int, float]
 
     def __post_init__(self) -> None:
-        numbers = self.voxels.volume.numbers.tolist()
-        for number in numbers:
+        volume = self.voxels.volume
+        for number in volume.numbers.tolist():
             if number not in self.moduli_mpa:
-                names = ", ".join(self.voxels.volume.name(n) for n in numbers)
+                names = ", ".join(map(volume.name, volume.numbers.tolist()))
                 raise ConfigError(
                     f"region_mpa has no modulus for label {number}; give one for each of {names}."
                 )
@@ -92,27 +84,15 @@ class RegionModuli:
 
 @dataclass(frozen=True)
 class VolumePhantom(Phantom):
-    """Phantom from the voxels of a labelled volume; its meshes have regions.
+    """Phantom from the voxels of a labelled volume; its meshes have regions."""
 
-    Attributes:
-        config: Description for the provenance of recordings.
-    """
-
-    config: dict[str, Any] = field(default_factory=dict)
+    config: dict[str, Any] = field(default_factory=dict)  # for the provenance of recordings
 
     def __post_init__(self) -> None:
         if self.inclusions or not isinstance(self.body, VoxelShape):
             raise ConfigError("a phantom from a volume has a voxel shape, and no other inclusions.")
 
-    def mesh(
-        self,
-        edge_length_mm: Real | None = None,
-        *,
-        relative_edge_length: Real = 0.1,
-        generator: str = "auto",
-        conforming: bool = False,
-        cache: bool = True,
-    ) -> TetMesh:
+    def mesh(self, edge_length_mm: Real | None = None, **options: Any) -> TetMesh:
         """Mesh the body with the label of each element as its region; see `Phantom.mesh`.
 
         Element faces do not conform to the boundaries of labels.
@@ -121,13 +101,10 @@ class VolumePhantom(Phantom):
             ConfigError: The generator is "structured", or `conforming` is true.
             MeshError: The mesh has another volume than the voxels.
         """
-        if generator == "structured" or conforming:
+        if options.pop("generator", "auto") == "structured" or options.pop("conforming", False):
             raise ConfigError("a body of voxels has no structured and no conforming mesh.")
         assert isinstance(self.body, VoxelShape)
-        mesh = tetrahedralize(
-            *self.body.surface(), edge_length_mm, relative_edge_length=relative_edge_length,
-            epsilon=_ENVELOPE, cache=cache,
-        )  # fmt: skip
+        mesh = tetrahedralize(*self.body.surface(), edge_length_mm, epsilon=_ENVELOPE, **options)
         self.body.voxels.check_volume(mesh)
         return mesh.with_regions(self.body.voxels.regions(mesh))
 

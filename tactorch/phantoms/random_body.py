@@ -3,23 +3,27 @@
 Lengths in mm, moduli in MPa.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, get_args
 
 import numpy as np
-from jaxtyping import Float
 
 from tactorch.config import Options, option
+from tactorch.errors import ConfigError
 from tactorch.mesh import Shape
 from tactorch.phantoms.draws import (
+    INCLUSIONS,
     BackgroundName,
     InclusionName,
+    Proposal,
     Range,
     Rng,
     check_ranges,
     draw_background,
     draw_contrast,
-    draw_inclusions,
+    draw_inside,
     log_uniform,
 )
 from tactorch.phantoms.phantom import Phantom
@@ -70,23 +74,40 @@ class RandomBody(Options):
     def _filled(self, rng: Rng, body: Shape, parameters: dict[str, Any]) -> RandomPhantom:
         """Draw the inside of a body; inclusions without room are left out after the first."""
         low, high = body.bounds()
-        width = float((high - low).min())
         youngs = log_uniform(rng, self.youngs_mpa)
         count = int(rng.integers(self.count[0], self.count[1] + 1))
         names = [str(rng.choice(self.shapes)) for _ in range(count)]
-
-        def place() -> tuple[Float[np.ndarray, "3"], float]:
-            half = float(rng.uniform(*self.size)) * width
-            margin = np.minimum(half, (high - low) / 2)
-            return rng.uniform(low + margin, high - margin), half
-
-        def modulus() -> float:
-            return youngs * draw_contrast(rng, self.contrast)
-
-        gap_mm = self.gap * width
-        inclusions, parts = draw_inclusions(rng, body, names, place, modulus, gap_mm)
+        drawn = self._inclusions(rng, body, names, youngs)
         background, middle = str(rng.choice(self.backgrounds)), (low + high) / 2
         values = draw_background(rng, background, youngs, float((high - low).max()), middle)
+        parts = [facts for _, facts in drawn]
         facts = {"background": background, "youngs_mpa": youngs, "parts": parts}
-        phantom = Phantom(body, inclusions, values)
-        return RandomPhantom(phantom, str(len(inclusions)), parameters | facts)
+        phantom = Phantom(body, [(shape, part["inclusion_mpa"]) for shape, part in drawn], values)
+        return RandomPhantom(phantom, str(len(drawn)), parameters | facts)
+
+    def _inclusions(
+        self, rng: Rng, body: Shape, names: Sequence[str], youngs: float
+    ) -> list[Proposal]:
+        """Draw inclusions of given shapes, and their parameters as plain values."""
+        low, high = body.bounds()
+        width = float((high - low).min())
+
+        def propose(name: str) -> Proposal:
+            half = float(rng.uniform(*self.size)) * width
+            margin = np.minimum(half, (high - low) / 2)
+            center = rng.uniform(low + margin, high - margin)
+            facts = {"shape": name, "half_mm": half, "center_mm": center.tolist()}
+            return INCLUSIONS[name](rng, center, half), facts
+
+        drawn: list[Proposal] = []
+        for name in names:
+            others = [shape for shape, _ in drawn]
+            try:
+                shape, facts = draw_inside(body, partial(propose, name), others, self.gap * width)
+            except ConfigError:
+                if not drawn:
+                    raise
+                break
+            modulus = youngs * draw_contrast(rng, self.contrast)
+            drawn.append((shape, {**facts, "inclusion_mpa": modulus}))
+        return drawn

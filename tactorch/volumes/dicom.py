@@ -19,10 +19,6 @@ def read_segmentation(
     """Read the segment of each voxel, the affine matrix in mm, and the names of the segments.
 
     The matrix leads to patient coordinates (left, posterior, superior).
-
-    Raises:
-        ConfigError: highdicom is not installed.
-        FileError: The file is damaged, no segmentation, or of segments that overlap.
     """
     if importlib.util.find_spec("highdicom") is None:
         raise ConfigError(

@@ -17,12 +17,7 @@ _UNITS = {"mm": "mm", "meter": "m", "micron": "um", "unknown": "mm"}
 
 
 def read_nifti(source: Path) -> tuple[np.ndarray, Float[np.ndarray, "4 4"], str]:
-    """Read the array of a file, its affine matrix, and the unit of the matrix ("um", "mm", "m").
-
-    Raises:
-        ConfigError: nibabel is not installed.
-        FileError: The file is damaged, no NIfTI file, or too large.
-    """
+    """Read the array of a file, its affine matrix, and the unit of the matrix ("um", "mm", "m")."""
     if importlib.util.find_spec("nibabel") is None:
         raise ConfigError("Reading NIfTI needs nibabel: pip install 'tactorch[volumes]'.")
     import nibabel as nib
