@@ -128,10 +128,9 @@ def _first_depths(samples: Samples, noise: float) -> Float[np.ndarray, " probes"
 
 def _first_forces(samples: Samples) -> Float[np.ndarray, " probes"]:
     """Return the force of the sample of least advance of each probe, N."""
-    first = np.full(len(samples.numbers), np.nan)
-    order = np.lexsort((-samples.advance_mm, samples.probe))
-    first[samples.probe[order]] = samples.force_n[order]  # the last of a probe remains
-    return first
+    order = np.lexsort((samples.advance_mm, samples.probe))
+    _, first = np.unique(samples.probe[order], return_index=True)
+    return samples.force_n[order[first]]
 
 
 def _sums(samples: Samples, depths: Float[np.ndarray, " probes"]) -> Float[np.ndarray, "3 probes"]:

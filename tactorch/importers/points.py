@@ -1,7 +1,7 @@
-"""Presses from displacements and forces at points: nodes, or any points of the surface."""
+"""Presses from files of displacements and forces at points: nodes, or any of the surface."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -14,6 +14,7 @@ from tactorch.config import Options, option
 from tactorch.config.registry import unknown_choice
 from tactorch.errors import ConfigError, FileError, RecordingError
 from tactorch.fem import MATERIALS
+from tactorch.files import natural_key
 from tactorch.importers.loads import consistent_loads, push_direction
 from tactorch.mesh import TetMesh
 from tactorch.mesh.closest import Closest, closest_points
@@ -186,6 +187,24 @@ class PointData:
                 " edge of the mesh, where the normal is not unique; give nx, ny and nz, or forces.",
                 self.where(int(at_edge[0])), len(at_edge) - 1,
             )  # fmt: skip
+
+
+def press_files(path: Path, suffixes: Sequence[str], kind: str) -> list[Path]:
+    """Return a file, or the files with these suffixes in a folder, press2 before press10.
+
+    `kind` names them in messages.
+    """
+    if not path.is_dir():
+        if path.suffix.lower() not in suffixes:
+            known = ", ".join(suffixes)
+            raise FileError(f"'{path}' has the unknown suffix '{path.suffix}'; use one of {known}.")
+        return [path]
+    files = sorted((f for f in path.iterdir() if f.suffix.lower() in suffixes), key=natural_key)
+    if not files:
+        raise FileError(
+            f"'{path}' contains no {kind} ({', '.join(suffixes)}); give one for each press."
+        )
+    return files
 
 
 def _press(given: PointData, mesh: TetMesh, options: PointOptions) -> Press:

@@ -109,35 +109,30 @@ def make_samples(
         surface: First contact and outward normal of the probe of each row, where the file has them.
         check_units: Whether magnitudes that suggest a wrong unit are refused.
     """
-    bad = ~np.isfinite(np.column_stack([probes, centres, forces])).all(axis=1)
-    if bad.any():
-        _log.warning(
-            "'%s': %d rows without a number in every column are left out.", path, bad.sum()
-        )
-    numbers, first, probe = np.unique(
-        np.where(bad, np.nan, probes), return_index=True, return_inverse=True
-    )
+    good = np.isfinite(np.column_stack([probes, centres, forces])).all(axis=1)
+    if not good.all():
+        count = (~good).sum()
+        _log.warning("'%s': %d rows without a number in every column are left out.", path, count)
+    probes, centres, forces = probes[good], centres[good], forces[good]
     if check_units:
-        _check_units(path, centres[~bad], forces[~bad])
-    rows = [np.flatnonzero((probe == k) & ~bad) for k in range(len(numbers))]
-    starts, ends = np.array([(r[0], r[-1]) if len(r) else (0, 0) for r in rows]).T
-    motion = centres[ends] - centres[starts]
+        _check_units(path, centres, forces)
+    numbers, first, probe = np.unique(probes, return_index=True, return_inverse=True)
+    last = len(probes) - 1 - np.unique(probes[::-1], return_index=True)[1]
+    origins, motion = centres[first], centres[last] - centres[first]
     travel = np.linalg.norm(motion, axis=1)
     normals = -motion / np.maximum(travel, 1e-300)[:, None]
     radius = radius_mm
     if surface is not None:
-        contacts, normals = surface[0][first], surface[1][first]
+        contacts, normals = (values[good][first] for values in surface)
         if radius is None:
-            radius = _radius(path, centres[starts], contacts)
+            radius = _radius(path, origins, contacts)
     if radius is None:
         raise FileError(
             f"'{path}' has no contacts that tell the radius of the ball; give format.radius_mm."
         )
     lengths = np.linalg.norm(normals, axis=1)
     faults = {
-        "no number": ~np.isfinite(numbers),
-        f"fewer than {MIN_SAMPLES} samples": np.bincount(probe[~bad], minlength=len(numbers))
-        < MIN_SAMPLES,
+        f"fewer than {MIN_SAMPLES} samples": np.bincount(probe) < MIN_SAMPLES,
         f"a travel of less than {MIN_TRAVEL * radius:.2g} mm": travel < MIN_TRAVEL * radius,
         "no unit normal": ~(np.abs(lengths - 1.0) < _UNIT),
         "a normal that does not point upwards (z)": ~(normals[:, 2] > _MIN_UP * lengths),
@@ -152,14 +147,11 @@ def make_samples(
             "the object, with z upwards."
         )
     normals = normals / np.maximum(lengths, 1e-300)[:, None]
-    origins = centres[starts]
     advance = -((centres - origins[probe]) * normals[probe]).sum(axis=1)
     force = (forces * normals[probe]).sum(axis=1)
-    whole = np.where(np.isfinite(numbers), numbers, -1).astype(int)
-    samples = Samples(
-        whole, normals, origins, radius, probe, centres, advance, force, np.ones(len(force))
-    )
-    return samples.keep(~bad & usable[probe])
+    whole, ones = numbers.astype(int), np.ones(len(force))
+    samples = Samples(whole, normals, origins, radius, probe, centres, advance, force, ones)
+    return samples.keep(usable[probe])
 
 
 def _check_units(

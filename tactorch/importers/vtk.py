@@ -18,8 +18,7 @@ from jaxtyping import Float, Int
 from tactorch.config import option
 from tactorch.errors import FileError, MeshError
 from tactorch.importers.loads import consistent_loads
-from tactorch.importers.points import PointData, PointOptions
-from tactorch.importers.press_files import press_files
+from tactorch.importers.points import PointData, PointOptions, press_files
 from tactorch.importers.quantities import UNITS
 from tactorch.importers.vtk_files import SUFFIXES, VtkFile, read_vtk
 from tactorch.mesh import TetMesh, compact, read_mesh

@@ -8,8 +8,7 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import RecordingError
 from tactorch.recording.arrays import make_array, require_finite
-from tactorch.recording.errors import PressErrors
-from tactorch.recording.readings import ForceReading, ProbePose, SurfaceReading
+from tactorch.recording.readings import ForceReading, PressErrors, ProbePose, SurfaceReading
 from tactorch.recording.schema import PRESS_ARRAYS
 
 # Default of arrays whose size is the number of nodes; replaced by zeros on construction, so that

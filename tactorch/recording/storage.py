@@ -14,10 +14,9 @@ from tactorch.errors import ConfigError, MeshError, RecordingError
 from tactorch.hdf5 import Hdf5Reader, open_hdf5, write_array, write_attributes, write_json
 from tactorch.mesh import TetMesh
 from tactorch.recording import schema
-from tactorch.recording.errors import PressErrors
 from tactorch.recording.material import MaterialSpec
 from tactorch.recording.press import Press
-from tactorch.recording.readings import ForceReading, ProbePose, SurfaceReading
+from tactorch.recording.readings import ForceReading, PressErrors, ProbePose, SurfaceReading
 from tactorch.recording.tail import PressTail
 
 if TYPE_CHECKING:

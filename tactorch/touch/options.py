@@ -6,11 +6,9 @@ from typing import ClassVar, Literal
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.mesh.tetmesh import FaceName
-from tactorch.phantoms.draws import check_ranges
+from tactorch.phantoms.draws import Range, check_ranges
 from tactorch.sensor.description import SensorDescription, load_sensor
 from tactorch.sensor.render import RenderOptions
-
-Range = tuple[float, float]
 
 
 @dataclass(frozen=True)

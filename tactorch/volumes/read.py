@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import read_arrays, require_file
+from tactorch.volumes.medical import read_nifti, read_segmentation
 from tactorch.volumes.volume import LabelVolume
 
 _log = logging.getLogger(__name__)
@@ -52,13 +53,9 @@ def read_volume(
     if spacing_mm is not None and kind in ("nifti", "dicom"):
         raise ConfigError(f"spacing_mm is given, but '{source}' states it; leave it out.")
     if kind == "nifti":
-        from tactorch.volumes.nifti import read_nifti
-
         values, affine, file_unit = read_nifti(source)
         labels = as_labels(values, source)
     elif kind == "dicom":
-        from tactorch.volumes.dicom import read_segmentation
-
         (values, affine, names), file_unit = read_segmentation(source), "mm"
         labels = as_labels(values, source)
     else:
