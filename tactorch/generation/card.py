@@ -1,17 +1,17 @@
-"""Data card: the content of a dataset as text."""
+"""Data card: the content of a dataset as text, by the template card.md."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from jinja2 import StrictUndefined, Template
 
 from tactorch.files import write_file
-from tactorch.generation.recipe import LINEAR
 from tactorch.generation.sample import Sample
 from tactorch.generation.sampleset import SampleSet
-from tactorch.generation.touch_card import touch_contents, touch_method, touch_rows
+from tactorch.touch import Touch
 
 CARD, PICTURE, TOUCH_PICTURE = "card.md", "card.png", "touch.png"
 _MAX_CARD_SAMPLES = 500
@@ -19,8 +19,29 @@ _MAX_CARD_SAMPLES = 500
 
 def write_card(samples: SampleSet) -> Path:
     """Write card.md into the dataset's folder and return its path."""
+    template = Template(
+        files("tactorch.generation").joinpath("card.md").read_text(encoding="utf-8"),
+        trim_blocks=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
+    )
+    manifest, selected = samples.manifest, card_samples(samples)
+    recipe = manifest["recipe"]
     path = samples.folder / CARD
-    write_file(path, _text(samples, card_samples(samples)))
+    text = template.render(
+        manifest=manifest,
+        recipe=recipe,
+        touch=recipe.get("touch"),
+        same_mesh=recipe["mesh"]["fine_relative"] is None,
+        count=len(samples),
+        megabytes=sum(shard["bytes"] for shard in manifest["shards"]) / 1e6,
+        picture=PICTURE,
+        touch_picture=TOUCH_PICTURE,
+        shown=len(selected),
+        labels=sorted(Counter(sample.label for sample in selected).items()),
+        rows=[(name, _quantiles(values)) for name, values in _rows(selected)],
+    )
+    write_file(path, text)
     return path
 
 
@@ -30,87 +51,31 @@ def card_samples(samples: SampleSet) -> list[Sample]:
     return [samples[samples.indices[place]] for place in places]
 
 
-def _text(samples: SampleSet, selected: Sequence[Sample]) -> str:
-    manifest = samples.manifest
-    recipe, failed = manifest["recipe"], manifest["failed"]
-    family, has_touch = recipe["family"], "touch" in recipe
-    size = sum(shard["bytes"] for shard in manifest["shards"])
-    lines = [
-        f"# {manifest['name']}",
-        "",
-        f"{len(samples)} samples in {len(manifest['shards'])} shards, {size / 1e6:.1f} MB;"
-        f" {len(failed)} failed. Made by `tactorch generate` from random objects of the"
-        f" family `{family['name'] if isinstance(family, dict) else family}` with seed"
-        f" {recipe['seed']}.",
-        "",
-        f"![What is inside]({PICTURE})",
-        *((f"![What the sensor sees]({TOUCH_PICTURE})",) if has_touch else ()),
-        "",
-        "## What is in a sample",
-        "",
-        "A recording (presses on a mesh, forces in N, displacements in mm) with the true Young's"
-        " modulus of each element in MPa" + _second_map(recipe),
-        *(touch_contents(recipe["touch"]) if has_touch else ()),
-        "",
-        *_statistics(selected),
-        "## How it was made",
-        "",
-        *(
-            touch_method(recipe["touch"], recipe["mesh"]["fine_relative"] is None)
-            if has_touch
-            else [_method(recipe)]
-        ),
-        "",
-        *(f"- {key}: `{value}`" for key, value in recipe.items() if key != "inversion"),
-        "",
-        "Versions: " + ", ".join(f"{k} {v}" for k, v in manifest["versions"].items()) + ".",
-        "",
-    ]
-    if failed:
-        lines += ["## Failed", "", *(f"- {i}: {reason}" for i, reason in failed.items()), ""]
-    return "\n".join(lines)
+def _quantiles(values: Sequence[float]) -> list[str]:
+    quantiles = np.nanquantile(np.array(values, dtype=float), [0.05, 0.5, 0.95])
+    return [f"{value:.4g}" for value in quantiles]
 
 
-def _method(recipe: dict[str, Any]) -> str:
-    return (
-        "Presses are computed on the mesh that they are inverted on, with the same model: an"
-        " inverse crime. Results on these data flatter."
-        if recipe["mesh"]["fine_relative"] is None
-        else "Presses are computed on a finer mesh than the one they are recorded and inverted on,"
-        " and have noise: no inverse crime."
-    )
-
-
-def _statistics(selected: Sequence[Sample]) -> list[str]:
-    if not selected:
-        return []
-    labels = Counter(sample.label for sample in selected)
-    rows = {
-        "presses": [len(s.recording.presses) for s in selected],
-        "elements": [s.recording.mesh.n_tets for s in selected],
-        "lowest modulus, MPa": [s.truth.min() for s in selected],
-        "highest modulus, MPa": [s.truth.max() for s in selected],
-        "largest displacement, mm": [s.largest_mm for s in selected],
-    }
-    if all(s.touch is not None for s in selected):
-        rows |= touch_rows([s.touch for s in selected if s.touch is not None])
+def _rows(selected: Sequence[Sample]) -> Iterator[tuple[str, Sequence[float]]]:
+    """Yield the quantities of the table, with a value for each sample, or press of a sensor."""
+    yield "presses", [len(s.recording.presses) for s in selected]
+    yield "elements", [s.recording.mesh.n_tets for s in selected]
+    yield "lowest modulus, MPa", [s.truth.min() for s in selected]
+    yield "highest modulus, MPa", [s.truth.max() for s in selected]
+    yield "largest displacement, mm", [s.largest_mm for s in selected]
+    yield from _touch_rows([s.touch for s in selected if s.touch is not None])
     figures = [s.figures for s in selected if s.figures]
     for name in ("iterations", "chi2", "ssim", "pearson", "rmse_mpa"):
         if figures and name in figures[0]:
-            rows[f"reconstruction: {name}"] = [f[name] for f in figures]
-    lines = [
-        "Labels: " + ", ".join(f"{name} {count}" for name, count in sorted(labels.items())) + ".",
-        "",
-        f"| over {len(selected)} samples | 5 % | median | 95 % |",
-        "|---|---:|---:|---:|",
-    ]
-    for name, values in rows.items():
-        low, middle, high = np.nanquantile(np.array(values, dtype=float), [0.05, 0.5, 0.95])
-        lines.append(f"| {name} | {low:.4g} | {middle:.4g} | {high:.4g} |")
-    return [*lines, ""]
+            yield f"reconstruction: {name}", [f[name] for f in figures]
 
 
-def _second_map(recipe: dict[str, Any]) -> str:
-    if recipe["inversion"] == LINEAR:
-        return ", and its linear image from the presses, a stand-in for a reconstruction."
-    return ", and a reconstruction from the presses alone." if recipe["inversion"] else "."
+def _touch_rows(touches: Sequence[Touch]) -> Iterator[tuple[str, Sequence[float]]]:
+    if touches:
+        forces = [-touch.total_force[:, 2] for touch in touches]
+        yield "force along the axis, N", np.concatenate(forces).tolist()
+        lowest = [touch.gel_displacement[:, :, 2].min(axis=1) for touch in touches]
+        yield "indentation of the gel, mm", (-np.concatenate(lowest)).tolist()
+    motions = [touch.markers_px - touch.rest_markers_px for touch in touches]
+    if moved := [np.linalg.norm(m, axis=2).max(axis=1) for m in motions if m.shape[1]]:
+        yield "largest motion of a marker, px", np.concatenate(moved).tolist()

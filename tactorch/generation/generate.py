@@ -21,7 +21,6 @@ from tactorch.generation.layout import (
     VERSION,
     damaged,
     sample_name,
-    shard_name,
     to_bytes,
     write_shard,
 )
@@ -115,7 +114,7 @@ class _Dataset:
 
     @cached_property
     def shards(self) -> list[Path]:
-        return [self.folder / shard_name(shard) for shard in range(self.recipe.shards)]
+        return [self.folder / f"shard-{shard:05d}.h5" for shard in range(self.recipe.shards)]
 
     def prepare(self) -> None:
         """Create the folder, or check that it belongs to this recipe."""
@@ -159,8 +158,8 @@ class _Dataset:
         if content is None:
             _log.warning("sample %d failed: %s", index, reason)
             write_json(failure, {"index": index, "reason": reason})
-            return
-        write_file(path, content)
+        else:
+            write_file(path, content)
 
     def close_shard(self, shard: int) -> None:
         """Write a shard whose samples are complete, and remove their separate files."""

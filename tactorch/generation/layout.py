@@ -53,11 +53,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from tactorch.errors import FileError
 from tactorch.generation.sample import Sample
-from tactorch.generation.touch_storage import write_touch
-from tactorch.hdf5 import hdf5_image, write_array, write_attributes, write_hdf5
+from tactorch.hdf5 import Hdf5Reader, hdf5_image, write_array, write_attributes, write_hdf5
 from tactorch.recording.storage import write_recording
+from tactorch.touch import Touch
 
 if TYPE_CHECKING:
     import h5py
@@ -66,11 +68,12 @@ FORMAT = "tactorch-samples"
 VERSION = 1
 MANIFEST_FORMAT = "tactorch-dataset"
 RECIPE, MANIFEST, PARTIAL = "recipe.json", "manifest.json", "partial"
-
-
-def shard_name(shard: int) -> str:
-    """Return the name of a shard's file."""
-    return f"shard-{shard:05d}.h5"
+_GROUP = "touch"
+_IMAGES = {"images": 4, "reference": 3}  # number of dimensions
+_SINGLE = {
+    "markers_px": 3, "rest_markers_px": 2, "gel_points": 2, "gel_displacement": 3,
+    "gel_forces": 3, "poses": 3, "first_poses": 3, "mm_per_px": 1,
+}  # fmt: skip
 
 
 def sample_name(index: int) -> str:
@@ -89,7 +92,7 @@ def to_bytes(sample: Sample) -> bytes:
         if sample.reconstruction is not None:
             write_array(file, "reconstruction", sample.reconstruction)
         if sample.touch is not None:
-            write_touch(file.create_group("touch"), sample.touch)
+            _write_touch(file.create_group(_GROUP), sample.touch)
 
     return hdf5_image(write)
 
@@ -110,6 +113,15 @@ def write_shard(path: Path, parts: Mapping[int, bytes], failed: Mapping[int, str
     write_hdf5(path, write)
 
 
+def _write_touch(group: "h5py.Group", touch: Touch) -> None:
+    for name in (*_IMAGES, *_SINGLE):
+        write_array(group, name, getattr(touch, name))
+    write_array(group, "marker_visible", touch.marker_visible.astype(np.uint8))
+    write_array(group, "place", touch.place.astype("<i8"))
+    if touch.height_mm is not None:
+        write_array(group, "height_mm", touch.height_mm)
+
+
 def _copy(part: "h5py.File", shard: "h5py.File", name: str) -> None:
     group = shard["samples"].create_group(name)
     group.attrs.update(part.attrs)
@@ -128,3 +140,30 @@ def damaged(path: Path, reason: Any) -> FileError:
         f"shard '{path}' is damaged ({reason}); delete it and generate again: only its samples are"
         " made again."
     )
+
+
+def read_touch(reader: Hdf5Reader) -> Touch | None:
+    """Read the touch of a sample; None where it has none.
+
+    Raises:
+        FileError: An array is missing, or has another type or another number of dimensions.
+    """
+    if not reader.has(_GROUP):
+        return None
+    images = {
+        name: reader.array(f"{_GROUP}/{name}", "i", (None,) * count).astype(np.uint8)
+        for name, count in _IMAGES.items()
+    }
+    single = {name: _single(reader, name, count) for name, count in _SINGLE.items()}
+    has_heights = reader.has(f"{_GROUP}/height_mm")
+    return Touch(
+        **images,
+        **single,
+        height_mm=_single(reader, "height_mm", 3) if has_heights else None,
+        marker_visible=reader.array(f"{_GROUP}/marker_visible", "b", (None, None)),
+        place=reader.array(f"{_GROUP}/place", "i", (None,)),
+    )
+
+
+def _single(reader: Hdf5Reader, name: str, count: int) -> np.ndarray:
+    return reader.array(f"{_GROUP}/{name}", "f", (None,) * count).astype(np.float32)

@@ -18,14 +18,13 @@ from tactorch.mesh.geometry import bounding_diagonal
 from tactorch.mesh.lattice import lattice_mesh
 from tactorch.mesh.tetmesh import FaceName
 from tactorch.phantoms import Phantom, RandomPhantom
-from tactorch.phantoms.draws import check_ranges
+from tactorch.phantoms.draws import Range, check_ranges
 from tactorch.recording import MaterialSpec
 from tactorch.simulation import PressPlan
 from tactorch.touch.options import TouchOptions
 from tactorch.touch.scene import check_material
 
 LINEAR = "linear"
-Range = tuple[float, float]
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,10 @@ from tactorch.generation.layout import (
     RECIPE,
     VERSION,
     damaged,
+    read_touch,
     sample_name,
 )
 from tactorch.generation.sample import Sample
-from tactorch.generation.touch_storage import read_touch
 from tactorch.hdf5 import Hdf5Reader
 from tactorch.mesh import TetMesh
 from tactorch.recording import Recording

@@ -28,33 +28,19 @@ _NEIGHBOURS = 16  # contacts, with their own, that tell whether the surface is f
 
 
 class Contacts(NamedTuple):
-    """First contacts.
-
-    Attributes:
-        points_mm: First contact of each probe.
-        depth_mm: Depth of the ball at its origin, (probes,), mm.
-        noise_n: Standard deviation of the noise of a sample.
-        tare_n: Offset of the force sensor, which the forces no longer have.
-        clear: Number of samples that are clear of the surface.
-    """
+    """First contacts."""
 
     points_mm: Float[np.ndarray, "probes 3"]
-    depth_mm: Float[np.ndarray, " probes"]
-    noise_n: float
-    tare_n: float
-    clear: int
+    depth_mm: Float[np.ndarray, " probes"]  # of the ball at its origin
+    noise_n: float  # standard deviation of the noise of a sample
+    tare_n: float  # offset of the force sensor, which the forces no longer have
+    clear: int  # number of samples that are clear of the surface
 
 
 def find_contacts(samples: Samples, noise_n: float | None, source: str) -> tuple[Samples, Contacts]:
     """Return the samples without offset and outliers, and the first contacts.
 
-    Args:
-        samples: The samples.
-        noise_n: Noise of a force; None for an estimate.
-        source: Name of the file in messages.
-
-    Raises:
-        FileError: no probe's force rises with the depth.
+    The noise of a force is estimated where it is None; `source` is the name of the file.
     """
     noise = noise_n or _noise(samples)
     samples = _without_outliers(samples, noise, source)
@@ -114,11 +100,6 @@ def _noise(samples: Samples) -> float:
     return float(max(np.median(np.abs(second[same])) / (0.6745 * np.sqrt(6.0)), 1e-6))
 
 
-def _half_space(samples: Samples, depths: Float[np.ndarray, " probes"]) -> np.ndarray:
-    """Force of each sample on a half-space of unit plane-strain modulus, N/MPa."""
-    return ball_force(samples.advance_mm + depths[samples.probe], samples.radius_mm)
-
-
 def _first_depths(samples: Samples, noise: float) -> Float[np.ndarray, " probes"]:
     """Return the depth of the ball at each origin that fits the forces best, mm.
 
@@ -130,11 +111,13 @@ def _first_depths(samples: Samples, noise: float) -> Float[np.ndarray, " probes"
     travel = np.zeros(count)
     np.maximum.at(travel, samples.probe, samples.advance_mm)
     grid = np.linspace(-float(np.median(travel)), 0.5 * radius, 2 * _STEPS)
-    fits = [_fit(samples, np.full(count, depth)) for depth in grid]
-    costs = np.array([cost for cost, _ in fits]) / noise**2
+    sums = np.array([_sums(samples, np.full(count, depth)) for depth in grid])
+    mixed, squares, total = sums.swapaxes(0, 1)
+    moduli = np.maximum(mixed, 0.0) / np.maximum(squares, 1e-300)  # that fit the forces best
+    costs = (total - moduli**2 * squares) / noise**2
     first = float(np.median(_first_forces(samples)))
     if first > _CONTACT_NOISE * noise / np.sqrt(count):
-        begins = np.array([modulus for _, modulus in fits]) * ball_force(grid, radius)[:, None]
+        begins = moduli * ball_force(grid, radius)[:, None]
         prior = ((begins - first) / (_THRESHOLD * first)) ** 2
     else:
         common = grid[np.argmin(np.median(costs, axis=1))]
@@ -145,22 +128,20 @@ def _first_depths(samples: Samples, noise: float) -> Float[np.ndarray, " probes"
 
 def _first_forces(samples: Samples) -> Float[np.ndarray, " probes"]:
     """Return the force of the sample of least advance of each probe, N."""
-    first = np.full(len(samples.numbers), np.nan)
-    order = np.lexsort((-samples.advance_mm, samples.probe))
-    first[samples.probe[order]] = samples.force_n[order]  # the last of a probe remains
-    return first
+    order = np.lexsort((samples.advance_mm, samples.probe))
+    _, first = np.unique(samples.probe[order], return_index=True)
+    return samples.force_n[order[first]]
 
 
-def _fit(
-    samples: Samples, depths: Float[np.ndarray, " probes"]
-) -> tuple[Float[np.ndarray, " probes"], Float[np.ndarray, " probes"]]:
-    """Return the sum of squares of each probe left by the best modulus (N^2), and that (MPa)."""
-    force, unit = samples.force_n, _half_space(samples, depths)
-    count = len(samples.numbers)
-    pairs = ((unit, force), (unit, unit), (force, force))
-    mixed, squares, total = (np.bincount(samples.probe, a * b, count) for a, b in pairs)
-    modulus = np.where(squares > 0.0, np.maximum(mixed, 0.0) / np.maximum(squares, 1e-300), 0.0)
-    return total - modulus**2 * squares, modulus
+def _sums(samples: Samples, depths: Float[np.ndarray, " probes"]) -> Float[np.ndarray, "3 probes"]:
+    """Return the sums over each probe of f u, u u and f f, of forces f (N).
+
+    u are the forces on a half-space of unit plane-strain modulus at these depths, N/MPa.
+    """
+    force = samples.force_n
+    unit = ball_force(samples.advance_mm + depths[samples.probe], samples.radius_mm)
+    products = (unit * force, unit * unit, force * force)
+    return np.array([np.bincount(samples.probe, p, len(samples.numbers)) for p in products])
 
 
 def _without_outliers(samples: Samples, noise: float, source: str) -> Samples:
@@ -207,9 +188,7 @@ def _rising(
     samples: Samples, depths: Float[np.ndarray, " probes"], noise: float, source: str
 ) -> tuple[Samples, Float[np.ndarray, " probes"]]:
     """Leave out probes whose force does not rise with the depth."""
-    unit, count = _half_space(samples, depths), len(samples.numbers)
-    squares = np.bincount(samples.probe, unit**2, count)
-    mixed = np.bincount(samples.probe, unit * samples.force_n, count)
+    mixed, squares, _ = _sums(samples, depths)
     flat = ~(mixed > 3.0 * noise * np.sqrt(squares))
     name_probes(source, samples.numbers[flat], "a force that does not rise")
     if flat.all():

@@ -18,6 +18,7 @@ shifts all depths by about as much. The object is a block below the surface thro
 its depth is not known to the robot and has to be stated.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -31,6 +32,7 @@ from tactorch.importers.contacts import Contacts, find_contacts, unevenness
 from tactorch.importers.samples import Samples, read_samples
 from tactorch.mesh import TetMesh, read_mesh
 from tactorch.mesh.block import HeightField, block_below
+from tactorch.mesh.geometry import frozen
 from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Recording
 
 
@@ -70,17 +72,21 @@ class PalpationSettings(Options):
     check_units: bool = option(True, "Refuse magnitudes that suggest a wrong unit")
 
     def record(self, samples: Samples, path: str | Path) -> Recording:
-        """Return the recording of the samples of a file: contacts, object and presses.
-
-        Raises:
-            FileError: No probe's force rises with the depth.
-            MeshError: The surface or the mesh cannot be used.
-            RecordingError: The samples do not make a valid recording.
-        """
+        """Return the recording of the samples of a file: contacts, object and presses."""
         samples, contacts = find_contacts(samples, self.noise_n, str(path))
         samples = samples.reduced(self.depths)
-        block = self._body(samples, contacts)
-        return _record(self, samples, contacts, *block, source=Path(path).name)
+        mesh, fixed, above_mm = self._body(samples, contacts)
+        provenance = {
+            "importer": "palpation", "file": Path(path).name, "ball_radius_mm": samples.radius_mm,
+            "probes": len(samples.numbers), "noise_n": contacts.noise_n, "tare_n": contacts.tare_n,
+            "samples_clear_of_the_surface": contacts.clear, "depth_mm": self.depth_mm,
+            "block": self.mesh is None,
+        }  # fmt: skip
+        return Recording(
+            mesh, tuple(self._presses(samples, contacts, frozen(fixed), above_mm)),
+            MaterialSpec("linear", self.poisson), provenance=provenance,
+            check_units=self.check_units,
+        )  # fmt: skip
 
     def _body(
         self, samples: Samples, contacts: Contacts
@@ -99,6 +105,35 @@ class PalpationSettings(Options):
         fixed[block.bottom] = True
         above = height(contacts.points_mm[:, :2]) - contacts.points_mm[:, 2]
         return block.mesh, fixed, above * samples.normals[:, 2]
+
+    def _presses(
+        self,
+        samples: Samples,
+        contacts: Contacts,
+        fixed: Bool[np.ndarray, "n 3"],
+        above_mm: Float[np.ndarray, " probes"],
+    ) -> Iterator[Press]:
+        """Yield the presses; poses are moved along the normal so that contacts are on the mesh."""
+        ball, steps = Ball(samples.radius_mm), np.zeros(len(samples.numbers), dtype=int)
+        rotations = [_rotation(normal) for normal in samples.normals]
+        deviations = np.hypot(self.contact_mm, unevenness(contacts.points_mm))
+        for i in np.lexsort((samples.advance_mm, samples.probe)):
+            k = int(samples.probe[i])
+            normal = samples.normals[k]
+            # On the axis: motion across it is that of the robot's compliance.
+            depth = samples.advance_mm[i] + contacts.depth_mm[k]
+            centre = contacts.points_mm[k] + (samples.radius_mm - depth + above_mm[k]) * normal
+            deviation = contacts.noise_n / np.sqrt(samples.count[i])
+            yield Press.by_probe(
+                ProbePose(ball, centre, rotations[k], deviation_mm=float(deviations[k])),
+                len(fixed),
+                force=ForceReading.along(normal, float(samples.force_n[i]), float(deviation)),
+                fixed=fixed,
+                step=int(steps[k]),
+                direction=-normal,
+                name=f"probe {samples.numbers[k]}",
+            )
+            steps[k] += 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,56 +166,7 @@ def import_palpation(path: str | Path, **options: Any) -> Recording:
     return PalpationOptions(**options)(path=path)
 
 
-def _record(
-    options: PalpationSettings,
-    samples: Samples,
-    contacts: Contacts,
-    mesh: TetMesh,
-    fixed: Bool[np.ndarray, "n 3"],
-    above_mm: Float[np.ndarray, " probes"],
-    source: str,
-) -> Recording:
-    """Return the recording; poses are moved along the normal so that contacts are on the mesh."""
-    fixed.setflags(write=False)
-    ball, presses, steps = Ball(samples.radius_mm), [], np.zeros(len(samples.numbers), dtype=int)
-    rotations = [_rotation(normal) for normal in samples.normals]
-    deviations = np.hypot(options.contact_mm, unevenness(contacts.points_mm))
-    for i in np.lexsort((samples.advance_mm, samples.probe)):
-        k = int(samples.probe[i])
-        normal = samples.normals[k]
-        # On the axis: motion across it is that of the robot's compliance.
-        depth = samples.advance_mm[i] + contacts.depth_mm[k]
-        centre = contacts.points_mm[k] + (samples.radius_mm - depth + above_mm[k]) * normal
-        pose = ProbePose(ball, centre, rotations[k], deviation_mm=float(deviations[k]))
-        deviation = contacts.noise_n / np.sqrt(samples.count[i])
-        force = ForceReading.along(normal, float(samples.force_n[i]), float(deviation))
-        presses.append(
-            Press.by_probe(
-                pose,
-                mesh.n_points,
-                force=force,
-                fixed=fixed,
-                step=int(steps[k]),
-                direction=-normal,
-                name=f"probe {samples.numbers[k]}",
-            )
-        )
-        steps[k] += 1
-    provenance = {
-        "importer": "palpation", "file": source, "ball_radius_mm": samples.radius_mm,
-        "probes": len(samples.numbers), "noise_n": contacts.noise_n, "tare_n": contacts.tare_n,
-        "samples_clear_of_the_surface": contacts.clear, "depth_mm": options.depth_mm,
-        "block": options.mesh is None,
-    }  # fmt: skip
-    return Recording(
-        mesh, tuple(presses), MaterialSpec("linear", options.poisson),
-        provenance=provenance, check_units=options.check_units,
-    )  # fmt: skip
-
-
 def _rotation(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """Return a rotation whose z axis is the normal."""
     across = np.linalg.svd(normal[None])[2][1:]
-    rotation = np.column_stack([across[0], np.cross(normal, across[0]), normal])
-    rotation.setflags(write=False)
-    return rotation
+    return frozen(np.column_stack([across[0], np.cross(normal, across[0]), normal]))

@@ -1,7 +1,7 @@
-"""Presses from displacements and forces at points: nodes, or any points of the surface."""
+"""Presses from files of displacements and forces at points: nodes, or any of the surface."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -14,7 +14,8 @@ from tactorch.config import Options, option
 from tactorch.config.registry import unknown_choice
 from tactorch.errors import ConfigError, FileError, RecordingError
 from tactorch.fem import MATERIALS
-from tactorch.importers.loads import consistent_loads, pressure_loads
+from tactorch.files import natural_key
+from tactorch.importers.loads import consistent_loads, push_direction
 from tactorch.mesh import TetMesh
 from tactorch.mesh.closest import Closest, closest_points
 from tactorch.mesh.sharp_edges import distance_from_sharp_edges
@@ -55,13 +56,7 @@ class PointOptions(Options):
     def record(
         self, mesh: TetMesh, presses: "list[PointData]", source: str | Path, importer: str
     ) -> Recording:
-        """Return the recording of presses.
-
-        Raises:
-            ConfigError: The material is unknown.
-            FileError: A point is far from the surface, or lacks what a press needs.
-            RecordingError: The presses are not consistent.
-        """
+        """Return the recording of presses."""
         if self.material not in MATERIALS:
             raise ConfigError(unknown_choice("format.material", self.material, MATERIALS.names()))
         try:
@@ -81,22 +76,9 @@ class PointOptions(Options):
 class PointData:
     """Displacements and forces of one press at k points; NaN where there are none.
 
-    Attributes:
-        name: Name of the press.
-        where: Text that names a point in messages, such as "'a.csv' line 3".
-        nodes: Node of each point; -1 where it is given by its position.
-        points: Rest position, mm.
-        displacement: Components along x, y and z, mm.
-        along_normal: Displacement along the normal, mm.
-        normals: Outward normals; NaN for those of the mesh.
-        forces: External forces, N.
-        tractions: Tractions, MPa.
-        pressure: Pressure, along the inward normal, MPa.
-        areas: Area of each point, mm^2.
-        noise: Standard deviation of the displacement, mm.
-        fixed: 1 where a node is held.
-        springs: Stiffness of springs at nodes, N/mm.
-        step: Load step.
+    The arrays are the columns of `tactorch.importers.quantities` in mm, N and MPa; the nodes are
+    counted from 0, and -1 where a point is given by its position. `where` returns the text that
+    names a point in messages, such as "'a.csv' line 3".
     """
 
     name: str
@@ -115,26 +97,24 @@ class PointData:
     springs: Float[np.ndarray, "k 3"] | None = None
     step: int = 0
 
-    def located(self, mesh: TetMesh, max_distance_mm: float) -> tuple["PointData", Closest]:
-        """Return the data with nodes and positions, and the closest points of the surface.
+    def refuse(self, wrong: Bool[np.ndarray, " k"], fault: str) -> None:
+        """Raise an error that names the first of the points that are wrong, and their fault."""
+        if wrong.any():
+            raise FileError(self.where(int(wrong.argmax())) + fault)
 
-        Raises:
-            FileError: A node does not exist or appears twice, or a point is far from the surface.
-        """
+    def located(self, mesh: TetMesh, max_distance_mm: float) -> tuple["PointData", Closest]:
+        """Return the data with nodes and positions, and the closest points of the surface."""
         beyond = self.nodes >= mesh.n_points
-        if beyond.any():
-            row = int(beyond.argmax())
-            raise FileError(
-                f"{self.where(row)} names node {self.nodes[row]}, but the mesh has {mesh.n_points} "
-                f"(0 to {mesh.n_points - 1}); is it counted from 1, or of another mesh?"
-            )
+        self.refuse(
+            beyond,
+            f" names node {self.nodes[beyond.argmax()]}, but the mesh has {mesh.n_points} "
+            f"(0 to {mesh.n_points - 1}); is it counted from 1, or of another mesh?",
+        )
         placed = self.nodes >= 0
-        bare = ~placed & ~np.isfinite(self.points).all(axis=1)
-        if bare.any():
-            raise FileError(
-                f"{self.where(int(bare.argmax()))} has neither a node nor a position x, y, z; "
-                "give one of them."
-            )
+        self.refuse(
+            ~placed & ~np.isfinite(self.points).all(axis=1),
+            " has neither a node nor a position x, y, z; give one of them.",
+        )
         points = np.where(placed[:, None], mesh.points[self.nodes], self.points)
         nearest_mm, nearest = cKDTree(mesh.points).query(points)
         nodes = np.where(nearest_mm < _SAME_NODE * mesh.diagonal, nearest, -1)
@@ -173,10 +153,8 @@ class PointData:
     ) -> Float[np.ndarray, "k 3"]:
         """Return unit normals: those given, else those of the mesh."""
         surface = mesh.surface
-        at_nodes = np.zeros((mesh.n_points, 3))
-        vectors = surface.areas[:, None] * surface.normals
-        for corner in surface.triangles.T:
-            np.add.at(at_nodes, corner, vectors)
+        at_nodes, vectors = np.zeros((mesh.n_points, 3)), surface.areas[:, None] * surface.normals
+        np.add.at(at_nodes, surface.triangles, vectors[:, None])
         normals = np.where(
             (nodes < 0)[:, None], surface.normals[closest.triangles], at_nodes[nodes]
         )
@@ -184,11 +162,8 @@ class PointData:
         self._warn_at_edges(mesh, nodes, closest, given)
         lengths = np.linalg.norm(self.normals, axis=1)
         wrong = given & ~(np.abs(lengths - 1.0) < _UNIT)
-        if wrong.any():
-            row = int(wrong.argmax())
-            raise FileError(
-                f"{self.where(row)} has a normal of length {lengths[row]:.3g}; give unit vectors."
-            )
+        length = lengths[wrong.argmax()]
+        self.refuse(wrong, f" has a normal of length {length:.3g}; give unit vectors.")
         normals = np.where(given[:, None], self.normals, normals)
         return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
@@ -214,6 +189,24 @@ class PointData:
             )  # fmt: skip
 
 
+def press_files(path: Path, suffixes: Sequence[str], kind: str) -> list[Path]:
+    """Return a file, or the files with these suffixes in a folder, press2 before press10.
+
+    `kind` names them in messages.
+    """
+    if not path.is_dir():
+        if path.suffix.lower() not in suffixes:
+            known = ", ".join(suffixes)
+            raise FileError(f"'{path}' has the unknown suffix '{path.suffix}'; use one of {known}.")
+        return [path]
+    files = sorted((f for f in path.iterdir() if f.suffix.lower() in suffixes), key=natural_key)
+    if not files:
+        raise FileError(
+            f"'{path}' contains no {kind} ({', '.join(suffixes)}); give one for each press."
+        )
+    return files
+
+
 def _press(given: PointData, mesh: TetMesh, options: PointOptions) -> Press:
     reach = options.max_distance_mm or _MAX_DISTANCE * mesh.diagonal
     data, closest = given.located(mesh, reach)
@@ -224,8 +217,6 @@ def _press(given: PointData, mesh: TetMesh, options: PointOptions) -> Press:
     forces = _forces(data, mesh, closest)
     fixed, springs = _supports(data, mesh, options)
     noise = np.where(np.isfinite(data.noise), data.noise, options.noise_mm or np.nan)
-    total = forces.sum(axis=0)
-    length = float(np.linalg.norm(total))
     return Press(
         forces,
         np.isfinite(displacement),
@@ -233,7 +224,7 @@ def _press(given: PointData, mesh: TetMesh, options: PointOptions) -> Press:
         fixed=fixed,
         springs=springs,
         noise_mm=_one_noise(data, noise, at_node & np.isfinite(data.displacement).any(axis=1)),
-        direction=total / length if length > 1e-9 * np.abs(forces).sum() else None,
+        direction=push_direction(forces),
         name=data.name,
         step=data.step,
         surface=_readings(data, at_node, noise),
@@ -250,12 +241,12 @@ def _readings(
     every = np.concatenate([rows, along])
     if not len(every):
         return None
-    unknown = every[~(noise[every] > 0.0)]
-    if len(unknown):
-        raise FileError(
-            f"{data.where(int(unknown[0]))}: a displacement at a point that is no node, or along a "
-            "normal, needs its noise; give format.noise_mm, or a column 'noise'."
-        )
+    unknown = (components.any(axis=1) | np.isfinite(data.along_normal)) & ~(noise > 0.0)
+    data.refuse(
+        unknown,
+        ": a displacement at a point that is no node, or along a normal, needs its noise; give "
+        "format.noise_mm, or a column 'noise'.",
+    )
     return SurfaceReading(
         data.points[every],
         np.concatenate([np.eye(3)[axes], data.normals[along]]),
@@ -273,12 +264,11 @@ def _forces(data: PointData, mesh: TetMesh, closest: Closest) -> Float[np.ndarra
     at_node, by_area = data.nodes >= 0, np.isfinite(data.areas)
     tractions, pressure = np.nan_to_num(data.tractions), np.nan_to_num(data.pressure)
     bare = (tractions.any(axis=1) | (pressure != 0.0)) & ~by_area
-    off = bare & ~at_node
-    if off.any():
-        raise FileError(
-            f"{data.where(int(off.argmax()))}: a traction or pressure at a point that is no node "
-            "needs a column 'area'; give it, or forces."
-        )
+    data.refuse(
+        bare & ~at_node,
+        ": a traction or pressure at a point that is no node needs a column 'area'; give it, or "
+        "forces.",
+    )
     stresses = tractions - pressure[:, None] * data.normals
     at_points = np.nan_to_num(data.forces) + np.nan_to_num(data.areas)[:, None] * stresses
     forces = np.zeros((mesh.n_points, 3))
@@ -291,7 +281,7 @@ def _forces(data: PointData, mesh: TetMesh, closest: Closest) -> Float[np.ndarra
         field, scalar = np.zeros((mesh.n_points, 3)), np.zeros(mesh.n_points)
         field[nodes], scalar[nodes] = tractions[bare], pressure[bare]
         forces += consistent_loads(mesh.points, triangles, field)
-        forces += pressure_loads(mesh.points, triangles, scalar)
+        forces += consistent_loads(mesh.points, triangles, scalar)
     return forces
 
 
@@ -300,14 +290,12 @@ def _supports(
 ) -> tuple[Bool[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
     fixed, springs = np.zeros((mesh.n_points, 3), dtype=bool), np.zeros((mesh.n_points, 3))
     at_node = data.nodes >= 0
-    if data.fixed is not None or data.springs is not None:
-        given = [np.nan_to_num(v) for v in (data.fixed, data.springs) if v is not None]
-        off = ~at_node & np.hstack(given).any(axis=1)
-        if off.any():
-            raise FileError(
-                f"{data.where(int(off.argmax()))} is fixed or on springs, but is no node of the "
-                "mesh; state supports at nodes."
-            )
+    given = [np.nan_to_num(v) for v in (data.fixed, data.springs) if v is not None]
+    if given:
+        data.refuse(
+            ~at_node & np.hstack(given).any(axis=1),
+            " is fixed or on springs, but is no node of the mesh; state supports at nodes.",
+        )
         nodes = data.nodes[at_node]
         if data.fixed is not None:
             np.logical_or.at(fixed, nodes, np.nan_to_num(data.fixed[at_node]) != 0.0)
@@ -332,10 +320,8 @@ def _one_noise(
     known = noise[rows]
     if not len(known) or np.isnan(known).all():
         return None
-    if not np.allclose(known, known[0], rtol=1e-6):
-        row = int(np.flatnonzero(rows)[np.argmax(~np.isclose(known, known[0], rtol=1e-6))])
-        raise FileError(
-            f"{data.where(row)}: the noise at nodes differs within press '{data.name}'; give one "
-            "value for each press."
-        )
+    data.refuse(
+        rows & ~np.isclose(noise, known[0], rtol=1e-6),
+        f": the noise at nodes differs within press '{data.name}'; give one value for each press.",
+    )
     return float(known[0])

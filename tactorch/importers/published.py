@@ -22,7 +22,7 @@ in the files the force is stiffness times displacement.
 import math
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -33,6 +33,7 @@ from jaxtyping import Float
 from tactorch.config import Options, option
 from tactorch.errors import FileError, RecordingError
 from tactorch.files import require_file, require_folder
+from tactorch.importers.loads import push_direction
 from tactorch.mesh import TetMesh, read_mesh
 from tactorch.mesh.io import PLAUSIBLE_MM
 from tactorch.recording import MaterialSpec, Press, Recording
@@ -195,10 +196,6 @@ def _read_press(
             f"'{files['B-']}' has the value {invalid[0]:g}; an observed degree of freedom has the"
             " value 1"
         )
-    total = forces.sum(axis=0)
-    length = float(np.linalg.norm(total))
-    # A press may push from two sides: a total that is round-off gives no direction.
-    pushes = length > 1e-9 * float(np.abs(forces).sum())
     try:
         return Press(
             forces,
@@ -206,7 +203,7 @@ def _read_press(
             deformed_m * _MM_PER_M - mesh.points,
             springs=springs,
             noise_mm=noise_mm,
-            direction=total / length if pushes else None,
+            direction=push_direction(forces),
             name=str(number),
         )
     except RecordingError as error:
@@ -267,60 +264,44 @@ def _relabelled(
     return corrected
 
 
-def _read_numbers(path: str | Path, what: str, count: int, reason: str) -> Float[np.ndarray, " k"]:
+def _read_numbers(path: Path, what: str, count: int, reason: str) -> Float[np.ndarray, " k"]:
     """Read exactly `count` finite numbers, separated by white space or line ends.
 
     Messages name the expected content `what`, and the `reason` for the count.
     """
-    source = require_file(path, what)
-    values = [
-        _number(token, source, number)
-        for number, line in enumerate(_lines(source), start=1)
-        for token in line.split()
-    ]
+    values = [value for _, _, numbers in _rows(path, what) for value in numbers]
     if len(values) != count:
         raise FileError(
-            f"'{source}' holds {len(values)} numbers; {what} needs {count} ({reason}). "
+            f"'{path}' holds {len(values)} numbers; {what} needs {count} ({reason}). "
             "Is it cut short, or of another mesh?"
         )
     return np.array(values, dtype=np.float64)
 
 
-def _read_diagonal(path: str | Path, what: str, size: int) -> Float[np.ndarray, " k"]:
+def _read_diagonal(path: Path, what: str, size: int) -> Float[np.ndarray, " k"]:
     """Read the diagonal of a matrix of `size` rows given as lines of `row col value`, from 0.
 
     Entries off the diagonal, given twice or negative are refused; the others are 0.
     """
-    source = require_file(path, what)
     diagonal = np.zeros(size)
     line_of: dict[int, int] = {}
-    for number, line in enumerate(_lines(source), start=1):
-        if not line.strip():
-            continue
-        row, value = _entry(line, source, number, size)
+    for line, tokens, numbers in _rows(path, what):
+        where = f"'{path}' line {line}"
+        row, value = _entry(tokens, numbers, where, size)
         if row in line_of:
             raise FileError(
-                f"'{source}' line {number} repeats degree of freedom {row} of line {line_of[row]}; "
-                "keep one of the two"
+                f"{where} repeats degree of freedom {row} of line {line_of[row]}; keep one of the"
+                " two"
             )
-        line_of[row] = number
+        line_of[row] = line
         diagonal[row] = value
     return diagonal
 
 
-def _lines(source: Path) -> list[str]:
-    try:
-        return source.read_text(encoding="utf-8").splitlines()
-    except UnicodeDecodeError as error:
-        raise FileError(f"'{source}' is not a text file: {error}; give numbers as text") from error
-
-
-def _entry(line: str, source: Path, number: int, size: int) -> tuple[int, float]:
-    tokens = line.split()
-    where = f"'{source}' line {number}"
-    if len(tokens) != 3:
-        raise FileError(f"{where} is {line.strip()!r}; 'row col value' is needed")
-    row, column, value = (_number(token, source, number) for token in tokens)
+def _entry(tokens: list[str], numbers: list[float], where: str, size: int) -> tuple[int, float]:
+    if len(numbers) != 3:
+        raise FileError(f"{where} is {' '.join(tokens)!r}; 'row col value' is needed")
+    row, column, value = numbers
     for index in (row, column):
         if index != int(index) or not 0 <= index < size:
             raise FileError(
@@ -336,6 +317,17 @@ def _entry(line: str, source: Path, number: int, size: int) -> tuple[int, float]
     if value < 0:
         raise FileError(f"{where} has the negative value {tokens[2]}; give one of at least 0")
     return int(row), value
+
+
+def _rows(path: Path, what: str) -> Iterator[tuple[int, list[str], list[float]]]:
+    """Yield the number, the words and the finite numbers of each line that is not empty."""
+    try:
+        lines = require_file(path, what).read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError as error:
+        raise FileError(f"'{path}' is not a text file: {error}; give numbers as text") from error
+    for line, words in enumerate(map(str.split, lines), start=1):
+        if words:
+            yield line, words, [_number(word, path, line) for word in words]
 
 
 def _number(token: str, source: Path, line: int) -> float:

@@ -1,23 +1,7 @@
-"""Names and units of the columns of a table of presses.
+"""Names and units of the columns of a table of presses; docs/howto/formats.md has the table.
 
-| columns | quantity | unit by suffix; without one | needed |
-|---|---|---|---|
-| press | name of the press | | for several presses in one file |
-| step | load step, from 0 | | |
-| node | number of the node, from 0 | | this, or a position |
-| x, y, z | rest position | mm (cm, m, um) | this, or a node |
-| ux, uy, uz | displacement; empty where not measured | mm (cm, m, um) | some, or u_n |
-| u_n | displacement along the normal | mm (cm, m, um) | |
-| nx, ny, nz | outward normal; the mesh's by default | | |
-| fx, fy, fz | external force | N (mN, kN) | these, tractions or p |
-| tx, ty, tz | traction | MPa (kPa, Pa) | |
-| p | pressure, along the inward normal | MPa (kPa, Pa) | |
-| area | area of the point, for tractions at points that are no nodes | mm2 (cm2, m2) | |
-| noise | standard deviation of the displacement | mm (cm, m, um) | |
-| fixed_x, fixed_y, fixed_z | 1 where the node is held | | |
-| spring_x, spring_y, spring_z | stiffness of a spring that holds the node | N/mm (n_per_m) | |
-
-A unit is a suffix of the name, such as ux_m or p_kpa, or stated by `format.units`.
+A unit is a suffix of the name, such as ux_m or p_kpa, or stated by `format.units`; without one
+quantities are in mm, mm2, N, MPa and N/mm.
 """
 
 from collections.abc import Mapping
@@ -47,6 +31,11 @@ UNITS: dict[str, dict[str, float]] = {
     "noise": _LENGTHS,
     **{f"fixed_{axis}": _NONE for axis in _AXES},
     **{f"spring_{axis}": _STIFFNESSES for axis in _AXES},
+}
+_COLUMNS = {
+    f"{quantity}_{unit}" if unit else quantity: (quantity, factor)
+    for quantity, units in UNITS.items()
+    for unit, factor in {"": 1.0, **units}.items()
 }
 
 
@@ -104,14 +93,7 @@ def assign(
 
 def parse(name: str) -> tuple[str, float] | None:
     """Return the quantity and the factor of its unit that a name of a column states."""
-    text = name.strip().lower()
-    for quantity, units in UNITS.items():
-        if text == quantity:
-            return quantity, 1.0
-        unit = text.removeprefix(f"{quantity}_")
-        if unit != text and unit in units:
-            return quantity, units[unit]
-    return None
+    return _COLUMNS.get(name.strip().lower())
 
 
 def _suffix(text: str, quantity: str) -> float:

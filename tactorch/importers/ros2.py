@@ -32,7 +32,7 @@ _FIXED = 1e-6  # change of a rotation that is none
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ros2Options(PalpationSettings):
+class Ros2Options(Detection, PalpationSettings):
     """Read a palpation from a ROS 2 bag: poses of the tool, and wrenches of a force sensor."""
 
     pose_topic: str | None = option(
@@ -51,14 +51,6 @@ class Ros2Options(PalpationSettings):
     max_gap_s: float = option(
         0.25, "Longest time between two messages that is interpolated", unit="s", gt=0
     )
-    contact_n: float | None = option(
-        None, "Change of the force that is a contact; null: eight standard deviations of its noise",
-        unit="N", gt=0,
-    )  # fmt: skip
-    rest_s: float = option(0.5, "Time at the begin without contact", unit="s", gt=0)
-    approach_mm: float = option(
-        2.0, "Motion before the contact that belongs to a press", unit="mm", ge=0
-    )
 
     def __call__(self, *, path: str | Path) -> Recording:
         """Read a bag; see `import_ros2`."""
@@ -68,9 +60,7 @@ class Ros2Options(PalpationSettings):
             names = self.pose_topic, self.frame, self.tool_frame
             poses = read_poses(bag, *names, self.max_gap_s)
             wrenches = read_wrenches(bag, self.wrench_topic, self.max_gap_s)
-        detection = Detection(self.contact_n, self.rest_s, self.approach_mm)
-        session = self._session(poses, wrenches, str(path))
-        probe, samples = split_presses(session, detection, str(path))
+        probe, samples = split_presses(self._session(poses, wrenches, str(path)), self, str(path))
         return self.record(
             make_samples(
                 Path(path), probe.astype(float), samples.centres_mm, samples.forces_n,

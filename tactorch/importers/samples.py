@@ -25,29 +25,17 @@ NAMED = 8  # probes that a message names
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Samples of probes.
+    """Samples of probes."""
 
-    Attributes:
-        numbers: Number of each probe in the file.
-        normals: Outward unit normal of each probe.
-        origins_mm: A point on the axis of each probe at which its ball touches nothing or little.
-        radius_mm: Radius of the ball.
-        probe: Index of the probe of each sample.
-        centres_mm: Centre of the ball.
-        advance_mm: Motion along minus the normal from the origin.
-        force_n: Force on the ball along the normal.
-        count: Number of samples that were averaged.
-    """
-
-    numbers: Int[np.ndarray, " probes"]
-    normals: Float[np.ndarray, "probes 3"]
-    origins_mm: Float[np.ndarray, "probes 3"]
-    radius_mm: float
-    probe: Int[np.ndarray, " s"]
-    centres_mm: Float[np.ndarray, "s 3"]
-    advance_mm: Float[np.ndarray, " s"]
-    force_n: Float[np.ndarray, " s"]
-    count: Float[np.ndarray, " s"]
+    numbers: Int[np.ndarray, " probes"]  # of the probes in the file
+    normals: Float[np.ndarray, "probes 3"]  # outward unit normals
+    origins_mm: Float[np.ndarray, "probes 3"]  # on their axes, where the ball touches at most a bit
+    radius_mm: float  # of the ball
+    probe: Int[np.ndarray, " s"]  # index of the probe
+    centres_mm: Float[np.ndarray, "s 3"]  # of the ball
+    advance_mm: Float[np.ndarray, " s"]  # motion along minus the normal from the origin
+    force_n: Float[np.ndarray, " s"]  # on the ball along the normal
+    count: Float[np.ndarray, " s"]  # number of samples that were averaged
 
     def keep(self, kept: Bool[np.ndarray, " s"]) -> "Samples":
         """Return some of the samples, and the probes that have any."""
@@ -68,12 +56,10 @@ class Samples:
         rank = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
         parts = np.minimum(rank * depths // np.repeat(sizes, sizes), depths - 1)
         key = self.probe[order] * depths + parts
-        keys, group, count = np.unique(key, return_inverse=True, return_counts=True)
+        keys, first, count = np.unique(key, return_index=True, return_counts=True)
 
         def mean(values: np.ndarray) -> np.ndarray:
-            total = np.zeros((len(count), *values.shape[1:]))
-            np.add.at(total, group, values[order])
-            return total / count.reshape(-1, *(1,) * (values.ndim - 1))
+            return (np.add.reduceat(values[order], first).T / count).T
 
         return replace(
             self, probe=keys // depths, centres_mm=mean(self.centres_mm),
@@ -82,16 +68,7 @@ class Samples:
 
 
 def read_samples(path: Path, radius_mm: float | None, *, check_units: bool) -> Samples:
-    """Read a file; rows and probes that cannot be used are left out, and named.
-
-    Args:
-        path: The file.
-        radius_mm: Radius of the ball; None for the distance of its centre from the contacts.
-        check_units: Whether magnitudes that suggest a wrong unit are refused.
-
-    Raises:
-        FileError: the file cannot be used.
-    """
+    """Read the samples of a file; see `make_samples`."""
     sheet, required = read_sheet(path, "palpation"), ("probe", *_POSITION, *_FORCE)
     missing = [name for name in required if name not in sheet.columns]
     if missing:
@@ -131,39 +108,31 @@ def make_samples(
         radius_mm: Radius of the ball; None for the distance of its centre from the contacts.
         surface: First contact and outward normal of the probe of each row, where the file has them.
         check_units: Whether magnitudes that suggest a wrong unit are refused.
-
-    Raises:
-        FileError: The rows cannot be used.
     """
-    bad = ~np.isfinite(np.column_stack([probes, centres, forces])).all(axis=1)
-    if bad.any():
-        _log.warning(
-            "'%s': %d rows without a number in every column are left out.", path, bad.sum()
-        )
-    numbers, first, probe = np.unique(
-        np.where(bad, np.nan, probes), return_index=True, return_inverse=True
-    )
+    good = np.isfinite(np.column_stack([probes, centres, forces])).all(axis=1)
+    if not good.all():
+        count = (~good).sum()
+        _log.warning("'%s': %d rows without a number in every column are left out.", path, count)
+    probes, centres, forces = probes[good], centres[good], forces[good]
     if check_units:
-        _check_units(path, centres[~bad], forces[~bad])
-    ends = [_first_and_last(np.flatnonzero((probe == k) & ~bad)) for k in range(len(numbers))]
-    starts = np.array([a for a, _ in ends])
-    motion = centres[[b for _, b in ends]] - centres[starts]
+        _check_units(path, centres, forces)
+    numbers, first, probe = np.unique(probes, return_index=True, return_inverse=True)
+    last = len(probes) - 1 - np.unique(probes[::-1], return_index=True)[1]
+    origins, motion = centres[first], centres[last] - centres[first]
     travel = np.linalg.norm(motion, axis=1)
     normals = -motion / np.maximum(travel, 1e-300)[:, None]
     radius = radius_mm
     if surface is not None:
-        contacts, normals = surface[0][first], surface[1][first]
+        contacts, normals = (values[good][first] for values in surface)
         if radius is None:
-            radius = _radius(path, centres[starts], contacts)
+            radius = _radius(path, origins, contacts)
     if radius is None:
         raise FileError(
             f"'{path}' has no contacts that tell the radius of the ball; give format.radius_mm."
         )
     lengths = np.linalg.norm(normals, axis=1)
     faults = {
-        "no number": ~np.isfinite(numbers),
-        f"fewer than {MIN_SAMPLES} samples": np.bincount(probe[~bad], minlength=len(numbers))
-        < MIN_SAMPLES,
+        f"fewer than {MIN_SAMPLES} samples": np.bincount(probe) < MIN_SAMPLES,
         f"a travel of less than {MIN_TRAVEL * radius:.2g} mm": travel < MIN_TRAVEL * radius,
         "no unit normal": ~(np.abs(lengths - 1.0) < _UNIT),
         "a normal that does not point upwards (z)": ~(normals[:, 2] > _MIN_UP * lengths),
@@ -178,35 +147,27 @@ def make_samples(
             "the object, with z upwards."
         )
     normals = normals / np.maximum(lengths, 1e-300)[:, None]
-    origins = centres[starts]
     advance = -((centres - origins[probe]) * normals[probe]).sum(axis=1)
     force = (forces * normals[probe]).sum(axis=1)
-    whole = np.where(np.isfinite(numbers), numbers, -1).astype(int)
-    samples = Samples(
-        whole, normals, origins, radius, probe, centres, advance, force, np.ones(len(force))
-    )
-    return samples.keep(~bad & usable[probe])
-
-
-def _first_and_last(rows: Int[np.ndarray, " k"]) -> tuple[int, int]:
-    return (int(rows[0]), int(rows[-1])) if len(rows) else (0, 0)
+    whole, ones = numbers.astype(int), np.ones(len(force))
+    samples = Samples(whole, normals, origins, radius, probe, centres, advance, force, ones)
+    return samples.keep(usable[probe])
 
 
 def _check_units(
     path: Path, centres: Float[np.ndarray, "s 3"], forces: Float[np.ndarray, "s 3"]
 ) -> None:
     span = float(np.linalg.norm(np.ptp(centres, axis=0))) if len(centres) else 0.0
-    if not 1.0 < span < 1e4:
-        raise FileError(
-            f"'{path}': positions span {span:.3g} mm; another unit? Convert to mm, or pass "
-            "format.check_units=false."
-        )
-    largest = float(np.linalg.norm(forces, axis=1).max())
-    if not 1e-3 < largest < 1e3:
-        raise FileError(
-            f"'{path}': forces reach {largest:.3g} N; another unit? Convert to N, or pass "
-            "format.check_units=false."
-        )
+    largest = float(np.linalg.norm(forces, axis=1).max(initial=0.0))
+    for found, value, unit, low, high in (
+        ("positions span", span, "mm", 1.0, 1e4),
+        ("forces reach", largest, "N", 1e-3, 1e3),
+    ):
+        if not low < value < high:
+            raise FileError(
+                f"'{path}': {found} {value:.3g} {unit}; another unit? Convert to {unit}, or pass "
+                "format.check_units=false."
+            )
 
 
 def _radius(

@@ -6,11 +6,12 @@ push, and ends where the ball is deepest. What follows is left out: materials ha
 
 import logging
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from tactorch.config import Options, option
 from tactorch.errors import FileError
 from tactorch.importers.samples import MIN_SAMPLES
 
@@ -25,33 +26,26 @@ _PER_PRESS = 64  # samples that remain of a press at most, as means over equal s
 
 
 class Session(NamedTuple):
-    """Positions and forces at common times.
+    """Positions and forces at common times."""
 
-    Attributes:
-        time_s: Increasing times, s.
-        centres_mm: Centre of the ball, mm.
-        forces_n: Force on the ball, in the same axes, N.
-    """
-
-    time_s: Float[np.ndarray, " n"]
-    centres_mm: Float[np.ndarray, "n 3"]
-    forces_n: Float[np.ndarray, "n 3"]
+    time_s: Float[np.ndarray, " n"]  # increasing
+    centres_mm: Float[np.ndarray, "n 3"]  # of the ball
+    forces_n: Float[np.ndarray, "n 3"]  # on the ball, in the same axes
 
 
-@dataclass(frozen=True)
-class Detection:
-    """How presses are found.
+@dataclass(frozen=True, kw_only=True)
+class Detection(Options):
+    """How presses are found."""
 
-    Attributes:
-        contact_n: Change of the force above which the ball touches; None for eight standard
-            deviations of the noise.
-        rest_s: Time at the begin of the session without contact, for offset and noise.
-        approach_mm: Motion before the contact that belongs to a press.
-    """
-
-    contact_n: float | None = None
-    rest_s: float = 0.5
-    approach_mm: float = 2.0
+    section: ClassVar[str] = "format"
+    contact_n: float | None = option(
+        None, "Change of the force that is a contact; null: eight standard deviations of its noise",
+        unit="N", gt=0,
+    )  # fmt: skip
+    rest_s: float = option(0.5, "Time at the begin without contact", unit="s", gt=0)
+    approach_mm: float = option(
+        2.0, "Motion before the contact that belongs to a press", unit="mm", ge=0
+    )
 
 
 def split_presses(
@@ -60,15 +54,7 @@ def split_presses(
     """Return the number of the press of each sample, from 1, and the samples of presses.
 
     Where a press has many samples, they are averaged over steps of its motion. The forces have no
-    offset.
-
-    Args:
-        session: Positions and forces.
-        detection: How presses are found.
-        source: Name of the file in messages.
-
-    Raises:
-        FileError: The session begins in contact, or has no press.
+    offset. `source` is the name of the file in messages.
     """
     offset, contact_n = _rest(session, detection, source)
     forces = session.forces_n - offset

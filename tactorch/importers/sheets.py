@@ -4,7 +4,7 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from jaxtyping import Float
@@ -19,24 +19,14 @@ _MISSING = ("", "nan", "na", "null", "none")
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A table.
-
-    Attributes:
-        path: Its file.
-        columns: Cells of each column, text or numbers.
-        lines: What messages call each row.
-    """
+    """A table."""
 
     path: Path
-    columns: dict[str, Sequence[Any]]
-    lines: Sequence[str]
+    columns: dict[str, Sequence[Any]]  # cells, text or numbers
+    lines: Sequence[str]  # what messages call each row
 
     def numbers(self, name: str, *, finite: bool = True) -> Float[np.ndarray, " rows"]:
-        """Return a column of numbers, NaN where a cell is empty.
-
-        Raises:
-            FileError: A cell is not a number, or it is infinite and `finite` is required.
-        """
+        """Return a column of numbers, NaN where a cell is empty."""
         values = np.array([self._number(name, i) for i in range(len(self.lines))])
         if finite and np.isinf(values).any():
             self._refuse(name, int(np.isinf(values).argmax()))
@@ -54,9 +44,8 @@ class Sheet:
             return float(cell)
         except (TypeError, ValueError):
             self._refuse(name, row)
-        return float("nan")
 
-    def _refuse(self, name: str, row: int) -> None:
+    def _refuse(self, name: str, row: int) -> NoReturn:
         raise FileError(
             f"'{self.path}' {self.lines[row]}, column {name!r}, has {self.columns[name][row]!r}, "
             "which is not a finite number; repair it, or leave the cell empty."
@@ -67,10 +56,6 @@ def read_sheet(path: str | Path, what: str = "table of presses") -> Sheet:
     """Read a table with a line of names: text with commas, semicolons or tabs, or Parquet.
 
     Lines that are empty or start with # are ignored. Messages name the expected content `what`.
-
-    Raises:
-        ConfigError: pyarrow, which reads Parquet, is not installed.
-        FileError: The file is missing, damaged or empty, has no rows, or names a column twice.
     """
     source = require_file(path, what)
     sheet = _parquet(source) if source.suffix.lower() == ".parquet" else _text(source)

@@ -17,8 +17,7 @@ from jaxtyping import Float, Int
 
 from tactorch.config import option
 from tactorch.errors import ConfigError, FileError
-from tactorch.importers.points import PointData, PointOptions
-from tactorch.importers.press_files import press_files
+from tactorch.importers.points import PointData, PointOptions, press_files
 from tactorch.importers.quantities import assign, vector
 from tactorch.importers.sheets import SUFFIXES, Sheet, read_sheet
 from tactorch.mesh import read_mesh

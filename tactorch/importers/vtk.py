@@ -17,9 +17,9 @@ from jaxtyping import Float, Int
 
 from tactorch.config import option
 from tactorch.errors import FileError
-from tactorch.importers.loads import consistent_loads, pressure_loads
-from tactorch.importers.points import PointData, PointOptions
-from tactorch.importers.press_files import press_files
+from tactorch.importers.loads import consistent_loads
+from tactorch.importers.points import PointData, PointOptions, press_files
+from tactorch.importers.quantities import UNITS
 from tactorch.importers.vtk_files import SUFFIXES, VtkFile, read_vtk
 from tactorch.mesh import TetMesh, compact, read_mesh
 from tactorch.mesh.closest import closest_points
@@ -28,9 +28,6 @@ from tactorch.mesh.io import naming
 from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
-_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3}
-_NEWTON = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
-_MPA = {"MPa": 1.0, "kPa": 1e-3, "Pa": 1e-6}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +66,7 @@ class VtkOptions(PointOptions):
 
     @property
     def _scale(self) -> float:
-        return _MM[self.file_unit or self.unit]
+        return UNITS["x"][self.file_unit or self.unit]
 
     def _rest(self, file: VtkFile) -> TetMesh:
         """Return the mesh of the first file."""
@@ -77,8 +74,7 @@ class VtkOptions(PointOptions):
             raise FileError(
                 f"'{file.path}' has no tetrahedra; give the mesh of the object by format.mesh."
             )
-        with naming(file.path):
-            return TetMesh.create(*compact(self._points(file), file.tets)[:2])
+        return _mesh_of(file, self._points(file))[0]
 
     def _points(self, file: VtkFile) -> Float[np.ndarray, "n 3"]:
         """Return the rest positions, mm."""
@@ -99,32 +95,38 @@ class VtkOptions(PointOptions):
         force = file.field("force", self.force, 3)
         traction = file.field("traction", self.traction, 3)
         pressure = file.field("pressure", self.pressure, 1)
-        loads = [values for values in (force, traction, pressure) if values is not None]
-        if displacement is None or not loads:
-            loading = ("force", "traction", "pressure")
-            lacking = ("displacement",) if displacement is None else loading
+        loads = {"force": force, "traction": traction, "pressure": pressure}
+        given = [values for values in loads.values() if values is not None]
+        if displacement is None or not given:
+            lacking = ("displacement",) if displacement is None else loads
             raise FileError(
                 f"'{file.path}' has no field that is recognised as {' or '.join(lacking)}; "
                 f"{file.listing()} Choose one by {' or '.join(f'format.{w}' for w in lacking)}."
             )
-        if not any(np.nan_to_num(values).any() for values in (displacement, *loads)):
+        if not any(np.nan_to_num(values).any() for values in (displacement, *given)):
             _log.info("'%s' is left out: nothing moves and nothing acts.", file.path)
             return None
-        for name, values in (("displacement", displacement), ("load", np.column_stack(loads))):
+        for name, values in (("displacement", displacement), ("load", np.column_stack(given))):
             if np.isinf(values).any():
                 row = int(np.isinf(values).any(axis=1).argmax())
                 raise FileError(f"'{file.path}' point {row} has an infinite {name}; repair it.")
         points = self._points(file)
-        triangles = _outward(points, self._boundary(file, points), mesh)
+        triangles = _outward(points, _boundary(file, points), mesh)
         _, first, same = np.unique(points, axis=0, return_index=True, return_inverse=True)
         same, merged = first[same.ravel()], np.zeros_like(points)
         _check_repeated(same, {"displacement": displacement, "force": force}, file)
-        if traction is not None or pressure is not None:
-            np.add.at(
-                merged, same, self._stresses(points, triangles, same, traction, pressure, file)
+        scale = UNITS["p"][self.stress_unit.lower()]
+        stresses = [scale * values for values in (traction, pressure) if values is not None]
+        if stresses and not len(triangles):
+            raise FileError(
+                f"'{file.path}' has no triangles that traction or pressure act on; give a surface, "
+                "or forces."
             )
+        for values in stresses:
+            acting = consistent_loads(points, triangles, np.nan_to_num(values), same)
+            np.add.at(merged, same, acting)
         if force is not None:
-            merged[first] += _NEWTON[self.force_unit] * np.nan_to_num(force[first])
+            merged[first] += UNITS["fx"][self.force_unit.lower()] * np.nan_to_num(force[first])
         if len(file.tets):
             used = np.union1d(triangles, np.flatnonzero(merged.any(axis=1)))
             first = np.intersect1d(first, used)
@@ -144,36 +146,6 @@ class VtkOptions(PointOptions):
             areas=nowhere,
             noise=nowhere,
         )
-
-    def _boundary(self, file: VtkFile, points: Float[np.ndarray, "n 3"]) -> np.ndarray:
-        """Return the outward boundary triangles of tetrahedra, else the triangles of the file."""
-        if not len(file.tets):
-            return file.triangles
-        with naming(file.path):
-            nodes, tets, used = compact(points, file.tets)
-            return np.asarray(used[TetMesh.create(nodes, tets).surface.triangles])
-
-    def _stresses(
-        self,
-        points: Float[np.ndarray, "n 3"],
-        triangles: np.ndarray,
-        same: np.ndarray,
-        traction: np.ndarray | None,
-        pressure: np.ndarray | None,
-        file: VtkFile,
-    ) -> Float[np.ndarray, "n 3"]:
-        """Return the forces of tractions and pressures on the triangles of the file, N."""
-        if not len(triangles):
-            raise FileError(
-                f"'{file.path}' has no triangles that traction or pressure act on; give a surface, "
-                "or forces."
-            )
-        scale, forces = _MPA[self.stress_unit], np.zeros_like(points)
-        if traction is not None:
-            forces += consistent_loads(points, triangles, scale * np.nan_to_num(traction), same)
-        if pressure is not None:
-            forces += pressure_loads(points, triangles, scale * np.nan_to_num(pressure[:, 0]), same)
-        return forces
 
 
 def import_vtk(path: str | Path, **options: Any) -> Recording:
@@ -204,22 +176,34 @@ def _files(path: Path) -> list[Path]:
     return files
 
 
+def _mesh_of(
+    file: VtkFile, points: Float[np.ndarray, "n 3"]
+) -> tuple[TetMesh, Int[np.ndarray, " used"]]:
+    """Return the mesh of the tetrahedra of a file, and the points that are its nodes."""
+    nodes, tets, used = compact(points, file.tets)
+    with naming(file.path):
+        return TetMesh.create(nodes, tets), used
+
+
+def _boundary(file: VtkFile, points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "k 3"]:
+    """Return the outward boundary triangles of tetrahedra, else the triangles of the file."""
+    if not len(file.tets):
+        return file.triangles
+    mesh, used = _mesh_of(file, points)
+    return used[mesh.surface.triangles]
+
+
 def _check_repeated(
     same: Int[np.ndarray, " n"], fields: dict[str, np.ndarray | None], file: VtkFile
 ) -> None:
-    """Refuse repeated points whose values differ.
+    """Refuse repeated points whose values differ; `same` is the first at the position of each.
 
     Filters repeat points where normals differ, and copy their values: the force acts once.
-
-    Args:
-        same: First of the points at the position of each.
-        fields: Values at the points.
-        file: The file, for messages.
     """
     for name, values in fields.items():
         if values is None:
             continue
-        unlike = ~((values == values[same]) | (np.isnan(values) & np.isnan(values[same])))
+        unlike = ~np.isclose(values, values[same], rtol=0.0, atol=0.0, equal_nan=True)
         if unlike.any():
             row = int(unlike.any(axis=1).argmax())
             raise FileError(

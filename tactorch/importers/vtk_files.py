@@ -25,23 +25,27 @@ NAMES = {
 
 @dataclass(frozen=True, eq=False)
 class VtkFile:
-    """Content of a file.
-
-    Attributes:
-        path: The file.
-        points: Positions in the unit of the file.
-        tets: Tetrahedra; none in a file of a surface.
-        triangles: Triangles that are cells of the file.
-        fields: Values at the points.
-        cell_fields: Names of fields of the cells.
-    """
+    """Content of a file."""
 
     path: Path
-    points: Float[np.ndarray, "n 3"]
-    tets: Int[np.ndarray, "m 4"]
+    points: Float[np.ndarray, "n 3"]  # in the unit of the file
+    tets: Int[np.ndarray, "m 4"]  # none in a file of a surface
     triangles: Int[np.ndarray, "k 3"]
-    fields: Mapping[str, np.ndarray]
-    cell_fields: tuple[str, ...] = ()
+    fields: Mapping[str, np.ndarray]  # values at the points
+    cell_fields: tuple[str, ...] = ()  # names of fields of the cells
+
+    def __post_init__(self) -> None:
+        places = np.asarray(self.points, dtype=np.float64)
+        object.__setattr__(self, "points", places)
+        if places.ndim != 2 or places.shape[1] != 3 or not np.isfinite(places).all():
+            raise FileError(
+                f"'{self.path}' has points that are not three finite numbers; repair it."
+            )
+        for cells in (self.tets, self.triangles):
+            if cells.size and not 0 <= cells.min() <= cells.max() < len(places):
+                raise FileError(
+                    f"'{self.path}' has cells of points that do not exist; is it complete?"
+                )
 
     def field(self, what: str, name: str | None, width: int) -> np.ndarray | None:
         """Return a field at the points; None where there is none.
@@ -50,9 +54,6 @@ class VtkFile:
             what: Quantity, of `NAMES`.
             name: Name of the field; None to choose by its name.
             width: Number of components.
-
-        Raises:
-            FileError: There is no field of the name, several may be meant, or its shape is wrong.
         """
         if name is None:
             found = [n for n in self.fields if re.sub("[^a-z]", "", n.lower()) in NAMES[what]]
@@ -75,7 +76,7 @@ class VtkFile:
                 f"'{self.path}': the field {name!r} has the shape {values.shape}; {what} needs "
                 f"{width} number{'s' if width > 1 else ''} at each of {len(self.points)} points."
             )
-        return values.astype(np.float64).reshape(len(self.points), -1)
+        return values.astype(np.float64).reshape((-1, width) if width > 1 else -1)
 
     def listing(self) -> str:
         """Return the names of the fields, as a sentence."""
@@ -85,12 +86,7 @@ class VtkFile:
 
 
 def read_vtk(path: str | Path) -> VtkFile:
-    """Read a file.
-
-    Raises:
-        ConfigError: vtk, which reads .vtp, is not installed.
-        FileError: The file is missing, damaged or empty.
-    """
+    """Read a file."""
     source = require_file(path, "VTK file")
     if source.suffix.lower() == ".vtp":
         return _read_vtp(source)
@@ -100,7 +96,7 @@ def read_vtk(path: str | Path) -> VtkFile:
         blocks.get(block.type, []).append(block.data.astype(np.int64))
     tets = np.vstack([np.zeros((0, 4), np.int64), *blocks["tetra"]])
     triangles = [*blocks["triangle"], *map(_halves, blocks["quad"])]
-    return _checked(
+    return VtkFile(
         source,
         content.points,
         tets,
@@ -117,7 +113,7 @@ def _halves(quads: Int[np.ndarray, "q 4"]) -> Int[np.ndarray, "h 3"]:
 
 def _read_vtp(source: Path) -> VtkFile:
     try:
-        from vtkmodules.util.numpy_support import vtk_to_numpy
+        import pyvista
         from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
     except ImportError as error:
         raise ConfigError(
@@ -128,41 +124,13 @@ def _read_vtp(source: Path) -> VtkFile:
     reader.AddObserver("ErrorEvent", lambda *_: faults.append(True))
     reader.SetFileName(str(source))
     reader.Update()
-    data = reader.GetOutput()
-    if faults or not data.GetNumberOfPoints():
+    data = pyvista.wrap(reader.GetOutput())
+    if faults or not data.n_points:
         raise FileError(f"'{source}' cannot be read as VTP, or has no points; is it complete?")
-    polygons = data.GetPolys()
-    connectivity = vtk_to_numpy(polygons.GetConnectivityArray()).astype(np.int64)
-    offsets = vtk_to_numpy(polygons.GetOffsetsArray()).astype(np.int64)
-    sizes = np.diff(offsets)
     three, four = (
-        connectivity[offsets[:-1][sizes == size, None] + np.arange(size)] for size in (3, 4)
+        np.array([f for f in data.irregular_faces if len(f) == n], np.int64).reshape(-1, n)
+        for n in (3, 4)
     )
-    fields = {
-        data.GetPointData().GetArrayName(i): vtk_to_numpy(data.GetPointData().GetArray(i))
-        for i in range(data.GetPointData().GetNumberOfArrays())
-        if data.GetPointData().GetArray(i) is not None
-    }
-    cells = tuple(
-        data.GetCellData().GetArrayName(i) for i in range(data.GetCellData().GetNumberOfArrays())
-    )
-    triangles = np.vstack((three, _halves(four)))
-    points = vtk_to_numpy(data.GetPoints().GetData())
-    return _checked(source, points, np.zeros((0, 4), np.int64), triangles, fields, cells)
-
-
-def _checked(
-    source: Path,
-    points: np.ndarray,
-    tets: Int[np.ndarray, "m 4"],
-    triangles: Int[np.ndarray, "k 3"],
-    fields: Mapping[str, np.ndarray],
-    cell_fields: tuple[str, ...],
-) -> VtkFile:
-    places = np.asarray(points, dtype=np.float64)
-    if places.ndim != 2 or places.shape[1] != 3 or not np.isfinite(places).all():
-        raise FileError(f"'{source}' has points that are not three finite numbers; repair it.")
-    for cells in (tets, triangles):
-        if cells.size and not 0 <= cells.min() <= cells.max() < len(places):
-            raise FileError(f"'{source}' has cells of points that do not exist; is it complete?")
-    return VtkFile(source, places, tets, triangles, fields, cell_fields)
+    triangles, no_tets = np.vstack((three, _halves(four))), np.zeros((0, 4), np.int64)
+    fields, cells = dict(data.point_data), tuple(data.cell_data)
+    return VtkFile(source, data.points, no_tets, triangles, fields, cells)

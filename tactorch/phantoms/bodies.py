@@ -16,8 +16,7 @@ from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.files import require_file
 from tactorch.mesh import BodyFile, Box, Cylinder, Hemisphere, Hyperboloid, Lathe, Shape
-from tactorch.phantoms.draws import Range, Rng, check_ranges
-from tactorch.phantoms.random_body import RandomBody, RandomPhantom
+from tactorch.phantoms.draws import RandomBody, RandomPhantom, Range, Rng, check_ranges
 
 _Body = Literal["box", "cylinder", "hemisphere", "hyperboloid", "lathe"]
 _PROFILE_POINTS = 33  # of a random lathe

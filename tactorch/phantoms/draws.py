@@ -1,18 +1,24 @@
-"""Random parts of phantoms: inclusions, backgrounds, moduli. Lengths in mm, moduli in MPa."""
+"""Random parts of phantoms, and the settings that families of random phantoms share.
+
+Lengths in mm, moduli in MPa.
+"""
 
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.config import Options
+from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.mesh import Box, Cone, Cylinder, Ellipsoid, Rotated, Shape, Sphere, Torus
 from tactorch.mesh.values import Real
 from tactorch.phantoms.background import Background, Gradient, RandomField
 from tactorch.phantoms.cubes import two_tiers
 from tactorch.phantoms.overlap import clearance, protrusion
+from tactorch.phantoms.phantom import Phantom
 
 Range = tuple[float, float]
 Rng = np.random.Generator
@@ -28,15 +34,99 @@ INCLUSIONS: dict[str, Callable[[Rng, np.ndarray, float], Shape]] = {
         Box(c, half * rng.uniform(1.0, 1.8, 3)), rng.uniform(-90.0, 90.0, 3)
     ),
     "cylinder": lambda rng, c, half: Cylinder(
-        c, half * rng.uniform(0.4, 0.9), half * rng.uniform(1.0, 2.0), draw_direction(rng)
+        c, half * rng.uniform(0.4, 0.9), half * rng.uniform(1.0, 2.0), _draw_direction(rng)
     ),
     "ellipsoid": lambda rng, c, half: Rotated(
         Ellipsoid(c, half * rng.uniform(0.5, 1.0, 3)), rng.uniform(-90.0, 90.0, 3)
     ),
-    "torus": lambda rng, c, half: Torus(c, 0.68 * half, 0.32 * half, draw_direction(rng)),
-    "cone": lambda rng, c, half: Cone(c, 0.9 * half, 1.6 * half, draw_direction(rng)),
-    "cake": lambda rng, c, half: two_tiers(c, 0.9 * half, 1.4 * half, draw_direction(rng)),
+    "torus": lambda rng, c, half: Torus(c, 0.68 * half, 0.32 * half, _draw_direction(rng)),
+    "cone": lambda rng, c, half: Cone(c, 0.9 * half, 1.6 * half, _draw_direction(rng)),
+    "cake": lambda rng, c, half: two_tiers(c, 0.9 * half, 1.4 * half, _draw_direction(rng)),
 }
+
+
+@dataclass(frozen=True)
+class RandomPhantom:
+    """Random phantom, its class for recognition and its random parameters as plain values."""
+
+    phantom: Phantom
+    label: str
+    parameters: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomBody(Options):
+    """Settings of a body with random inclusions in a random background."""
+
+    section = "family"
+    count: tuple[int, int] = option((0, 3), "Range of the number of inclusions", ge=0)
+    shapes: tuple[InclusionName, ...] = option(
+        get_args(InclusionName), "Shapes of the inclusions; repeat a name to make it more likely",
+        nonempty=True,
+    )  # fmt: skip
+    size: Range = option(
+        (0.12, 0.25), "Range of the inclusions' half-widths, in the smallest width of the body",
+        gt=0,
+    )  # fmt: skip
+    youngs_mpa: Range = option(
+        (0.05, 0.3), "Range of the background's median modulus, log-uniform", unit="MPa", gt=0
+    )
+    contrast: Range = option(
+        (0.2, 8.0), "Range of the ratio of an inclusion's modulus to the background's, log-uniform;"
+        " ratios within a quarter of 1 are excluded", gt=0,
+    )  # fmt: skip
+    backgrounds: tuple[BackgroundName, ...] = option(
+        ("uniform", "uniform", "gradient", "random"),
+        "Backgrounds; repeat a name to make it more likely", nonempty=True,
+    )  # fmt: skip
+    gap: float = option(
+        0.03, "Minimum distance between inclusions, in the smallest width of the body", ge=0
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, "count", "size", "youngs_mpa", "contrast")
+
+    def _filled(self, rng: Rng, body: Shape, parameters: dict[str, Any]) -> RandomPhantom:
+        """Draw the inside of a body; inclusions without room are left out after the first."""
+        low, high = body.bounds()
+        youngs = _log_uniform(rng, self.youngs_mpa)
+        count = int(rng.integers(self.count[0], self.count[1] + 1))
+        names = [str(rng.choice(self.shapes)) for _ in range(count)]
+        drawn = self._inclusions(rng, body, names, youngs)
+        background, middle = str(rng.choice(self.backgrounds)), (low + high) / 2
+        values = _draw_background(rng, background, youngs, float((high - low).max()), middle)
+        parts = [facts for _, facts in drawn]
+        facts = {"background": background, "youngs_mpa": youngs, "parts": parts}
+        phantom = Phantom(body, [(shape, part["inclusion_mpa"]) for shape, part in drawn], values)
+        return RandomPhantom(phantom, str(len(drawn)), parameters | facts)
+
+    def _inclusions(
+        self, rng: Rng, body: Shape, names: Sequence[str], youngs: float
+    ) -> list[Proposal]:
+        """Draw inclusions of given shapes, and their parameters as plain values."""
+        low, high = body.bounds()
+        width = float((high - low).min())
+
+        def propose(name: str) -> Proposal:
+            half = float(rng.uniform(*self.size)) * width
+            margin = np.minimum(half, (high - low) / 2)
+            center = rng.uniform(low + margin, high - margin)
+            facts = {"shape": name, "half_mm": half, "center_mm": center.tolist()}
+            return INCLUSIONS[name](rng, center, half), facts
+
+        drawn: list[Proposal] = []
+        for name in names:
+            others = [shape for shape, _ in drawn]
+            try:
+                shape, facts = draw_inside(body, partial(propose, name), others, self.gap * width)
+            except ConfigError:
+                if not drawn:
+                    raise
+                break
+            modulus = youngs * _draw_contrast(rng, self.contrast)
+            drawn.append((shape, {**facts, "inclusion_mpa": modulus}))
+        return drawn
 
 
 def draw_inside(
@@ -52,56 +142,14 @@ def draw_inside(
     )
 
 
-def draw_inclusions(
-    rng: Rng,
-    body: Shape,
-    names: Sequence[str],
-    place: Callable[[], tuple[Float[np.ndarray, "3"], float]],
-    youngs: Callable[[], float],
-    gap_mm: float,
-) -> tuple[list[tuple[Shape, Real]], list[dict[str, Any]]]:
-    """Draw inclusions of given shapes; those without room are left out, except for the first.
-
-    Args:
-        rng: Generator.
-        body: The body that they are inside.
-        names: Their shapes, of `INCLUSIONS`.
-        place: Draws a centre and a half-width, mm.
-        youngs: Draws a modulus, MPa.
-        gap_mm: Smallest distance between them, mm.
-
-    Returns:
-        Shapes with their moduli (MPa), and their parameters as plain values.
-    """
-    inclusions: list[tuple[Shape, Real]] = []
-    parts: list[dict[str, Any]] = []
-    for name in names:
-
-        def propose(name: str = name) -> Proposal:
-            center, half = place()
-            pose = {"shape": name, "half_mm": half, "center_mm": center.tolist()}
-            return INCLUSIONS[name](rng, center, half), pose
-
-        try:
-            shape, pose = draw_inside(body, propose, [shape for shape, _ in inclusions], gap_mm)
-        except ConfigError:
-            if inclusions:
-                break
-            raise
-        modulus = youngs()
-        inclusions.append((shape, modulus))
-        parts.append({**pose, "inclusion_mpa": modulus})
-    return inclusions, parts
-
-
-def draw_background(
+def _draw_background(
     rng: Rng, name: str, youngs: float, side: float, center: Float[np.ndarray, "3"]
 ) -> Real | Background:
     """Draw a background of a name, median (MPa), size and centre (mm)."""
     if name == "uniform":
         return youngs
     if name == "gradient":
-        half_span = draw_direction(rng) * side / 2
+        half_span = _draw_direction(rng) * side / 2
         start, end = (center - half_span).tolist(), (center + half_span).tolist()
         ratio = float(np.sqrt(rng.uniform(1.3, 2.5)))
         return Gradient(start, end, youngs / ratio, youngs * ratio)
@@ -109,10 +157,10 @@ def draw_background(
     return RandomField(youngs, spread, length, int(rng.integers(2**31)))
 
 
-def draw_contrast(rng: Rng, limits: Range) -> float:
+def _draw_contrast(rng: Rng, limits: Range) -> float:
     """Draw a log-uniform ratio that differs from 1 by a quarter or more."""
     for _ in range(_MAX_DRAWS):
-        ratio = log_uniform(rng, limits)
+        ratio = _log_uniform(rng, limits)
         if abs(np.log(ratio)) >= np.log(1.25):
             return ratio
     raise ConfigError(f"contrast={list(limits)} contains nothing that differs from 1 by a quarter.")
@@ -127,13 +175,13 @@ def check_ranges(options: Options, *names: str) -> None:
             raise ConfigError(f"{setting}: give the lower end first.")
 
 
-def draw_direction(rng: Rng) -> Float[np.ndarray, "3"]:
+def _draw_direction(rng: Rng) -> Float[np.ndarray, "3"]:
     """Draw a unit vector."""
     direction: np.ndarray = rng.standard_normal(3)
     return direction / np.linalg.norm(direction)
 
 
-def log_uniform(rng: Rng, limits: Range) -> float:
+def _log_uniform(rng: Rng, limits: Range) -> float:
     """Draw a number whose logarithm is uniformly distributed."""
     low, high = (float(np.log(limit)) for limit in limits)
     return float(np.exp(rng.uniform(low, high)))

@@ -12,9 +12,16 @@ import numpy as np
 from tactorch.config import Options, Registry, option
 from tactorch.mesh import Cone, Shape, Torus
 from tactorch.phantoms.cubes import cube_body, two_tiers
-from tactorch.phantoms.draws import Proposal, Range, Rng, check_ranges, draw_inside
+from tactorch.phantoms.draws import (
+    Proposal,
+    RandomBody,
+    RandomPhantom,
+    Range,
+    Rng,
+    check_ranges,
+    draw_inside,
+)
 from tactorch.phantoms.phantom import Phantom
-from tactorch.phantoms.random_body import RandomBody, RandomPhantom
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ PHANTOMS = Registry(
         "hemisphere_two_spheres": "tactorch.phantoms.curved:HemisphereTwoSpheres",
         "mesh": "tactorch.phantoms.files:FilePhantom",
         "toy_two_spheres": "tactorch.phantoms.curved:ToyTwoSpheres",
-        "labelled": "tactorch.phantoms.labelled:Labelled",
+        "labelled": "tactorch.phantoms.files:Labelled",
     },
 )
 

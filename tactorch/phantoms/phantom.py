@@ -67,15 +67,9 @@ class Phantom(Displayed):
     def summary(self) -> str:
         """Return a description of the phantom in a few lines of text."""
         youngs = self.youngs_mpa
-        if isinstance(youngs, Background):
-            inside = f"Young's modulus {_describe(youngs)}"
-        else:
-            inside = f"Young's modulus {youngs:g} MPa"
-        lines = [f"body: {_describe(self.body)}, {inside}"]
-        lines += [
-            f"inclusion: {_describe(shape)}, {value:g} MPa" for shape, value in self.inclusions
-        ]
-        return "\n".join(lines)
+        inside = _describe(youngs) if isinstance(youngs, Background) else f"{youngs:g} MPa"
+        inclusions = (f"inclusion: {_describe(s)}, {value:g} MPa" for s, value in self.inclusions)
+        return "\n".join([f"body: {_describe(self.body)}, Young's modulus {inside}", *inclusions])
 
     def youngs_at(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         """Return Young's modulus at points (mm), MPa; outside the body, that of the background.
@@ -120,14 +114,13 @@ class Phantom(Displayed):
         return np.asarray(np.exp(means))
 
     def _check_bounds(self, mesh: TetMesh) -> None:
-        bounds = self.body.bounds()
-        if np.abs(mesh.bounds - bounds).max() > MAX_BOUNDS_DIFFERENCE * bounding_diagonal(bounds):
-            spans = [
-                " to ".join(f"({x:.4g}, {y:.4g}, {z:.4g})" for x, y, z in corners)
-                for corners in (mesh.bounds, bounds)
-            ]
+        boxes = mesh.bounds, self.body.bounds()
+        if np.abs(boxes[0] - boxes[1]).max() > MAX_BOUNDS_DIFFERENCE * bounding_diagonal(boxes[1]):
+            span, wanted = (
+                " to ".join(f"({x:.4g}, {y:.4g}, {z:.4g})" for x, y, z in box) for box in boxes
+            )
             raise MeshError(
-                f"The mesh spans {spans[0]} mm but the phantom's body {spans[1]} mm; mesh the"
+                f"The mesh spans {span} mm but the phantom's body {wanted} mm; mesh the"
                 " phantom itself, or check position and units."
             )
 
@@ -178,11 +171,9 @@ class Phantom(Displayed):
         if "body" not in values:
             raise ConfigError("phantom: body is missing; give its shape and size.")
         body = from_config("shape", values["body"], "phantom.body")
-        youngs = values.get("youngs_mpa", cls.youngs_mpa)
-        if isinstance(youngs, Mapping):
-            youngs = from_config("field", youngs, "phantom.youngs_mpa")
-        else:
-            youngs = _number(youngs, "phantom.youngs_mpa")
+        youngs, where = values.get("youngs_mpa", cls.youngs_mpa), "phantom.youngs_mpa"
+        is_field = isinstance(youngs, Mapping)
+        youngs = from_config("field", youngs, where) if is_field else _number(youngs, where)
         entries = values.get("inclusions") or ()
         if isinstance(entries, Mapping | str) or not isinstance(entries, Sequence):
             raise ConfigError(f"phantom.inclusions is {entries!r}; give a list of shapes.")

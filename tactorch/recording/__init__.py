@@ -1,10 +1,9 @@
 """Recordings: presses on a soft object, what was measured, and the file that holds them."""
 
 from tactorch.recording.append import append_press, compact, read_presses
-from tactorch.recording.errors import PressErrors
 from tactorch.recording.material import MaterialSpec
 from tactorch.recording.press import Press
-from tactorch.recording.readings import ForceReading, ProbePose, SurfaceReading
+from tactorch.recording.readings import ForceReading, PressErrors, ProbePose, SurfaceReading
 from tactorch.recording.recording import Recording
 from tactorch.recording.refine import prolong_recording, refine_recording
 

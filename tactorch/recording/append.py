@@ -7,7 +7,7 @@ proportional to n. One process may write at a time.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from io import BytesIO
@@ -64,17 +64,15 @@ def append_press(path: str | Path, press: Press) -> int:
     """
     with open_recording(path) as reader:
         count, tail = reader.count(), reader.tail
-        press.validate(reader.mesh().n_points)
         Recording(**reader.fields(presses=(press,)), check_units=False)
-        record = tail_record(count, hdf5_image(lambda file: write_press(file, press)))
-        is_newer = press.errors is not None and reader.version < ERRORS_VERSION
+        image = hdf5_image(lambda file: write_press(file, press))
+        record, errors = tail_record(count, image), press.errors is not None
         if (
             tail is None
-            or is_newer
+            or (errors and reader.version < ERRORS_VERSION)
             or tail.end - tail.begin + len(record) > max(tail.begin, _MAX_SMALL_TAIL_BYTES)
         ):
-            image = _whole_image(reader, press, growing=True)
-            write_file(path, image)
+            write_file(path, _whole_image(reader, [image], errors=errors, growing=True))
             return count
     _write_at(Path(path), tail.end, record)
     return count
@@ -143,37 +141,31 @@ def digest(press: Press) -> str:
 
 
 def _whole_image(
-    reader: RecordingReader, press: Press | None = None, *, growing: bool = False
+    reader: RecordingReader,
+    added: Sequence[bytes] = (),
+    *,
+    errors: bool = False,
+    growing: bool = False,
 ) -> bytes:
-    """Return the content of a file with the presses of the tail, and another one, in HDF5."""
+    """Return the content of a file with the presses of the tail, and of other images, in HDF5."""
     import h5py
 
     tail = reader.tail
     stored = Path(reader.source).read_bytes() if tail is None else tail.hdf5_part()
-    images = [tail.image(index) for index in range(len(tail))] if tail else []
-    count = reader.count() - len(images)
+    images = [*(tail.image(index) for index in range(len(tail))), *added] if tail else added
+    count = reader.count() + len(added)
     # Without checksums in the file's structure its end is not known, and there is no tail.
-    has_errors = reader.version >= ERRORS_VERSION or (
-        press is not None and press.errors is not None
-    )
     version = written_version(
         regions=reader.has("mesh/regions"),
-        errors=has_errors,
+        errors=errors or reader.version >= ERRORS_VERSION,
         growing=growing and stored[8] in (2, 3),
     )
 
     def change(file: "h5py.File") -> None:
-        presses = file["presses"]
-        for index, image in enumerate(images, start=count):
+        for index, image in enumerate(images, start=count - len(images)):
             with h5py.File(BytesIO(image), "r") as part:
-                group = presses.create_group(f"{index:04d}")
-                for name, value in part.attrs.items():
-                    group.attrs[name] = value
-                for name in part:
-                    part.copy(name, group)
-        if press is not None:
-            write_press(presses.create_group(f"{reader.count():04d}"), press)
-        write_attributes(presses, count=reader.count() + (press is not None))
+                part.copy("/", file["presses"], name=f"{index:04d}")
+        write_attributes(file["presses"], count=count)
         write_attributes(file, version=version)
 
     return hdf5_image(change, stored)

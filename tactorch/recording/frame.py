@@ -23,12 +23,6 @@ def to_frame(
         import pandas
     except ImportError as error:
         raise ConfigError("Tables need pandas: pip install 'tactorch[tables]'.") from error
-    for press in presses:
-        if press.probe is not None or press.force is not None:
-            raise RecordingError(
-                f"{press.label} is by a probe, or its force is measured, which a table of nodes"
-                " cannot hold; leave it out by Recording.select"
-            )
     nodes = np.arange(mesh.n_points) if interior else mesh.surface.nodes()
     for press in presses:
         _require_complete(press, nodes)
@@ -46,6 +40,11 @@ def to_frame(
 
 def _require_complete(press: Press, nodes: Int[np.ndarray, " k"]) -> None:
     """Refuse a press with data that the table does not hold."""
+    if press.probe is not None or press.force is not None:
+        raise RecordingError(
+            f"{press.label} is by a probe, or its force is measured, which a table of nodes"
+            " cannot hold; leave it out by Recording.select"
+        )
     if press.prescribed is not None and np.any(press.prescribed):
         raise RecordingError(
             f"{press.label} has prescribed displacements, which a table of nodes cannot hold; leave"

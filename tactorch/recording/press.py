@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import RecordingError
 from tactorch.recording.arrays import make_array, require_finite
-from tactorch.recording.errors import PressErrors
-from tactorch.recording.readings import ForceReading, ProbePose, SurfaceReading
+from tactorch.recording.readings import ForceReading, PressErrors, ProbePose, SurfaceReading
+from tactorch.recording.schema import PRESS_ARRAYS
 
 # Default of arrays whose size is the number of nodes; replaced by zeros on construction, so that
 # the field always holds an array.
@@ -120,9 +120,7 @@ class Press:
             surface: Measured displacements along directions at points of the surface.
             fields: Further fields, such as `fixed`, `springs`, `step` and `name`.
         """
-        arrays = {"forces": 0.0, "observed": False, "displacement": np.nan}
-        constant = {name: _constant(value, n_points) for name, value in arrays.items()}
-        constant |= {name: _constant(0.0, n_points) for name in ("springs", "prescribed")}
+        constant = {name: _constant(value, n_points) for name, value in PRESS_ARRAYS.items()}
         return Press(**{**constant, **fields}, probe=probe, force=force, surface=surface)
 
     @property

@@ -1,11 +1,11 @@
-"""What prescribes a press by a rigid probe, and data that are not displacements of nodes."""
+"""Rigid probes, data that are not displacements of nodes, and correlated errors of a press."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from tactorch.errors import RecordingError
 from tactorch.recording.arrays import make_array, require_finite
@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from tactorch.fem.contact import Probe
 
 _RESOLUTION = 1e-3  # of a depth, over the largest distance within a probe
-_IDENTITY: Any = None  # replaced by the unit matrix on construction
-_ORIGIN: Any = None  # replaced by the origin on construction
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +35,7 @@ class ProbePose:
 
     probe: "Probe"
     position_mm: Float[np.ndarray, "3"]
-    rotation: Float[np.ndarray, "3 3"] = _IDENTITY
+    rotation: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
     deviation_mm: float = 0.0
 
     def __post_init__(self) -> None:
@@ -46,14 +44,7 @@ class ProbePose:
                 f"probe: deviation_mm is {self.deviation_mm}; give a standard deviation of at "
                 "least 0 mm"
             )
-        rotation = np.eye(3) if self.rotation is None else self.rotation
-        for name, value, shape in (
-            ("position_mm", self.position_mm, (3,)),
-            ("rotation", rotation, (3, 3)),
-        ):
-            array = make_array(value, shape, f"probe: {name}")
-            require_finite(array, f"probe: {name}")
-            object.__setattr__(self, name, array)
+        _set(self, "probe", position_mm=(3,), rotation=(3, 3))
         product = self.rotation @ self.rotation.T
         if not np.allclose(product, np.eye(3), atol=1e-6) or np.linalg.det(self.rotation) < 0.0:
             raise RecordingError("probe: rotation is not a rotation; give an orthonormal matrix")
@@ -104,14 +95,11 @@ class ForceReading:
     axes: Float[np.ndarray, "k 6"]
     values: Float[np.ndarray, " k"]
     deviations: Float[np.ndarray, " k"]
-    about_mm: Float[np.ndarray, "3"] = _ORIGIN
+    about_mm: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
         count = len(np.atleast_1d(self.values))
-        about = np.zeros(3) if self.about_mm is None else self.about_mm
-        _set(self, "force", axes=(count, 6), values=(count,), deviations=(count,))
-        object.__setattr__(self, "about_mm", make_array(about, (3,), "force: about_mm"))
-        require_finite(self.about_mm, "force: about_mm")
+        _set(self, "force", axes=(count, 6), values=(count,), deviations=(count,), about_mm=(3,))
         _require_deviations(self.deviations, "force")
         if not self.axes.any(axis=1).all():
             raise RecordingError("force: axes has a row of zeros; give the measured components")
@@ -167,6 +155,48 @@ class SurfaceReading:
             raise RecordingError(
                 f"surface: directions[{worst}] has length {lengths[worst]:g}; give unit vectors"
             )
+
+
+@dataclass(frozen=True, eq=False)
+class PressErrors:
+    """Correlated errors of the recorded forces and displacements of a press.
+
+    Forces that are computed from displacements, as those of the gel of a sensor, have errors that
+    follow from those of the displacements. The recorded values are the true ones plus a sum of
+    patterns, each multiplied by an independent standard normal number.
+
+    Attributes:
+        nodes: Numbers of the nodes of the patterns, (l,).
+        forces: Errors of the nodal forces, (q, l, 3), N.
+        displacement: Errors of the displacements of the nodes, (q, l, 3), mm; those of components
+            that are not observed are ignored.
+
+    Raises:
+        RecordingError: Shapes differ, a value is not finite, or nodes are negative or repeated.
+    """
+
+    nodes: Int[np.ndarray, " l"]
+    forces: Float[np.ndarray, "q l 3"]
+    displacement: Float[np.ndarray, "q l 3"]
+
+    def __post_init__(self) -> None:
+        nodes = make_array(self.nodes, (None,), "errors: nodes", "iu").astype(np.int64)
+        object.__setattr__(self, "nodes", nodes)
+        shape = (len(np.atleast_1d(self.forces)), len(nodes), 3)
+        for name in ("forces", "displacement"):
+            array = make_array(getattr(self, name), shape, f"errors: {name}")
+            require_finite(array, f"errors: {name}")
+            object.__setattr__(self, name, array)
+        if len(nodes) and (nodes.min() < 0 or len(np.unique(nodes)) < len(nodes)):
+            raise RecordingError(
+                "errors: nodes has a negative or repeated number; give each node of the mesh once"
+            )
+
+    @property
+    def total_force_covariance(self) -> Float[np.ndarray, "3 3"]:
+        """Covariance of the sum of the nodal forces, (3, 3), N^2."""
+        totals = self.forces.sum(axis=1)
+        return totals.T @ totals
 
 
 def _set(reading: object, what: str, **shapes: tuple[int, ...]) -> None:

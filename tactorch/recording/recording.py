@@ -175,24 +175,22 @@ class Recording(Displayed):
         displacement = _range([press.largest_displacement for press in presses])
         observed = _range([int(press.observed.sum()) for press in presses])
         truth = "unknown" if self.truth is None else f"{_range(self.truth)} MPa"
+        gravity = float(np.linalg.norm(self.gravity)) / 1000
         lines = [
             f"object: {size} mm, {self.mesh.n_points} nodes, {self.mesh.n_tets} tetrahedra",
+            _regions(self.mesh.regions),
             f"presses: {len(presses)}, force {force} N, largest displacement {displacement} mm",
             f"observed: {observed} degrees of freedom a press, noise {noise}",
+            _readings(presses),
             f"held by: {' and '.join(name for name, used in supports.items() if used)}",
             f"material: {material.name}, Poisson's ratio {material.poisson:g}{parameters}",
             f"truth: {truth}",
+            "" if self.reference is None else f"reference: {_range(self.reference)} MPa",
+            f"weight: {self.density:.3g} tonne/mm^3 under {gravity:.3g} m/s^2"
+            if self.density and gravity
+            else "",
         ]
-        if readings := _readings(presses):
-            lines.insert(3, readings)
-        if self.mesh.regions is not None:
-            lines.insert(1, f"regions: {_regions(self.mesh.regions)}")
-        if self.reference is not None:
-            lines.append(f"reference: {_range(self.reference)} MPa")
-        if self.density and self.gravity.any():
-            gravity = float(np.linalg.norm(self.gravity)) / 1000
-            lines.append(f"weight: {self.density:.3g} tonne/mm^3 under {gravity:.3g} m/s^2")
-        return "\n".join(lines)
+        return "\n".join(filter(None, lines))
 
     def _set(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
@@ -259,30 +257,26 @@ class Recording(Displayed):
                 )
 
 
-def _regions(regions: Int[np.ndarray, " m"]) -> str:
+def _regions(regions: Int[np.ndarray, " m"] | None) -> str:
     """Return the numbers of elements of each region as text."""
+    if regions is None:
+        return ""
     numbers, counts = np.unique(regions, return_counts=True)
     shown = [f"{n} ({k} elements)" for n, k in zip(numbers, counts, strict=True)]
     more = f", and {len(shown) - _MAX_REGIONS} more" if len(shown) > _MAX_REGIONS else ""
-    return ", ".join(shown[:_MAX_REGIONS]) + more
+    return f"regions: {', '.join(shown[:_MAX_REGIONS])}{more}"
 
 
 def _readings(presses: Sequence[Press]) -> str:
     """Return the numbers of probes and of data that are not displacements of nodes, as text."""
-    probes = sum(press.probe is not None for press in presses)
-    forces = sum(len(press.force.values) for press in presses if press.force is not None)
-    along = sum(
-        len(press.surface.displacement_mm) for press in presses if press.surface is not None
-    )
-    parts = [
-        f"{count} {what}"
-        for count, what in (
-            (probes, "presses by a probe"),
-            (forces, "components of force or moment"),
-            (along, "displacements along a direction"),
-        )
-        if count
-    ]
+    counts = {
+        "presses by a probe": sum(p.probe is not None for p in presses),
+        "components of force or moment": sum(len(p.force.values) for p in presses if p.force),
+        "displacements along a direction": sum(
+            len(p.surface.displacement_mm) for p in presses if p.surface
+        ),
+    }
+    parts = [f"{count} {what}" for what, count in counts.items() if count]
     return f"readings: {', '.join(parts)}" if parts else ""
 
 

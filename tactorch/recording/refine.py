@@ -165,6 +165,6 @@ def _prolong_fixed(
     """Fix the fine nodes of boundary triangles whose coarse vertices are all fixed, by axis."""
     out = np.pad(fixed, ((0, len(refinement.ends)), (0, 0)))
     by_triangle = fixed[refinement.coarse.surface.triangles].all(axis=1)[refinement.surface_parents]
-    for axis in range(3):
-        out[refinement.mesh.surface.triangles[by_triangle[:, axis]], axis] = True
+    rows, axes = np.nonzero(by_triangle)
+    out[refinement.mesh.surface.triangles[rows], axes[:, None]] = True
     return out

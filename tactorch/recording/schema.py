@@ -85,6 +85,7 @@ PRESS_READINGS = {
         "displacement_mm": (None,),
         "deviations_mm": (None,),
     },
+    "errors": {"nodes": (None,), "forces": (None, None, 3), "displacement": (None, None, 3)},
 }
 
 

@@ -14,16 +14,15 @@ from tactorch.errors import ConfigError, MeshError, RecordingError
 from tactorch.hdf5 import Hdf5Reader, open_hdf5, write_array, write_attributes, write_json
 from tactorch.mesh import TetMesh
 from tactorch.recording import schema
-from tactorch.recording.errors import PressErrors
 from tactorch.recording.material import MaterialSpec
 from tactorch.recording.press import Press
-from tactorch.recording.readings import ForceReading, ProbePose, SurfaceReading
+from tactorch.recording.readings import ForceReading, PressErrors, ProbePose, SurfaceReading
 from tactorch.recording.tail import PressTail
 
 if TYPE_CHECKING:
     import h5py
 
-_READINGS = {"force": ForceReading, "surface": SurfaceReading}
+_READINGS = {"force": ForceReading, "surface": SurfaceReading, "errors": PressErrors}
 _WRITER = "Recording.save"
 _LAYOUT = f"{_WRITER} (layout: tactorch.recording.schema)"
 
@@ -38,7 +37,14 @@ class RecordingReader(Hdf5Reader):
         super().__init__(root, source, "recording", _LAYOUT, RecordingError)
         self._mesh = mesh
         self._shared: dict[str, np.ndarray] = {}
-        self.version = self._check_format()
+        self.version = self.check_format(
+            schema.FORMAT, schema.VERSION, f"give the file that {_WRITER} wrote"
+        )
+        units = self.attribute("/", "units", str)
+        if units != schema.UNITS:
+            raise self.error(
+                f"is in units {units!r}; {schema.UNITS!r} is needed: convert the values"
+            )
         growing = self.version in schema.GROWING_VERSIONS
         self.tail = PressTail(root.file, source, self._count_stored()) if growing else None
 
@@ -58,24 +64,13 @@ class RecordingReader(Hdf5Reader):
             **{k: self.array(k, "f", shape) for k, shape in optional.items() if self.has(k)},
         }
 
-    def _check_format(self) -> int:
-        """Return the version of the file."""
-        remedy = f"give the file that {_WRITER} wrote"
-        version = self.check_format(schema.FORMAT, schema.VERSION, remedy)
-        units = self.attribute("/", "units", str)
-        if units != schema.UNITS:
-            needed = schema.UNITS
-            raise self.error(f"is in units {units!r}; {needed!r} is needed: convert the values")
-        return version
-
     def mesh(self) -> TetMesh:
         """Read the mesh, once."""
         if self._mesh is None:
             points = self.array("mesh/points", "f", (None, 3))
             tets = self.array("mesh/tets", "i", (None, 4))
-            regions = None
-            if self.has("mesh/regions"):
-                regions = self.array("mesh/regions", "i", (len(tets),))
+            has_regions = self.has("mesh/regions")
+            regions = self.array("mesh/regions", "i", (len(tets),)) if has_regions else None
             try:
                 self._mesh = TetMesh.create(points, tets, repair=False, regions=regions)
             except MeshError as error:
@@ -172,20 +167,16 @@ def _read_readings(reader: Hdf5Reader, path: str) -> dict[str, Any]:
     for name, kind in _READINGS.items():
         if reader.has(f"{path}/{name}"):
             shapes = schema.PRESS_READINGS[name].items()
-            arrays = {k: reader.array(f"{path}/{name}/{k}", "f", shape) for k, shape in shapes}
-            fields[name] = kind(**arrays)
-    group = f"{path}/errors"
-    if reader.has(group):
-        nodes = reader.array(f"{group}/nodes", "i", (None,))
-        shape = (None, len(nodes), 3)
-        patterns = (reader.array(f"{group}/{k}", "f", shape) for k in ("forces", "displacement"))
-        fields["errors"] = PressErrors(nodes, *patterns)
+            fields[name] = kind(
+                **{
+                    key: reader.array(f"{path}/{name}/{key}", "i" if key == "nodes" else "f", shape)
+                    for key, shape in shapes
+                }
+            )
     group = f"{path}/probe"
     if reader.has(group):
-        name, text = (reader.attribute(group, key, str) for key in ("name", "sizes"))
-        sizes = reader.parse_json(f"{group}/sizes", text)
         fields["probe"] = ProbePose(
-            _make_probe(reader, group, name, sizes),
+            _read_probe(reader, group),
             reader.array(f"{group}/position_mm", "f", (3,)),
             reader.array(f"{group}/rotation", "f", (3, 3)),
             reader.attribute(group, "deviation_mm", float)
@@ -195,9 +186,11 @@ def _read_readings(reader: Hdf5Reader, path: str) -> dict[str, Any]:
     return fields
 
 
-def _make_probe(reader: Hdf5Reader, group: str, name: str, sizes: dict[str, Any]) -> Any:
+def _read_probe(reader: Hdf5Reader, group: str) -> Any:
     from tactorch.fem.contact import PROBES
 
+    name, text = (reader.attribute(group, key, str) for key in ("name", "sizes"))
+    sizes = reader.parse_json(f"{group}/sizes", text)
     try:
         return PROBES[name].from_mapping(sizes)
     except ConfigError as error:
@@ -215,15 +208,15 @@ def open_recording(path: str | Path) -> Iterator[RecordingReader]:
 def write_recording(group: "h5py.Group", fields: Mapping[str, Any]) -> None:
     """Write the fields of a `Recording` into a file or group."""
     errors = any(press.errors is not None for press in fields["presses"])
-    regions = fields["mesh"].regions is not None
-    version = schema.written_version(regions=regions, errors=errors)
+    regions = fields["mesh"].regions
+    version = schema.written_version(regions=regions is not None, errors=errors)
     write_attributes(group, format=schema.FORMAT, version=version, units=schema.UNITS)
     if fields["density"] is not None:
         write_attributes(group, density=fields["density"])
     write_array(group, "mesh/points", fields["mesh"].points.astype("<f8"))
     write_array(group, "mesh/tets", fields["mesh"].tets.astype("<i8"))
-    if fields["mesh"].regions is not None:
-        write_array(group, "mesh/regions", fields["mesh"].regions.astype("<i8"))
+    if regions is not None:
+        write_array(group, "mesh/regions", regions.astype("<i8"))
     material = group.create_group("material")
     law: MaterialSpec = fields["material"]
     parameters = json.dumps(law.parameters)
@@ -246,7 +239,8 @@ def write_press(group: "h5py.Group", press: Press) -> None:
         write_attributes(group, noise_mm=press.noise_mm)
     for field, constant in schema.PRESS_ARRAYS.items():
         array = getattr(press, field)
-        if press.probe is not None and _is_constant(array, constant):
+        everywhere = np.broadcast_to(np.array(constant), array.shape)
+        if press.probe is not None and np.array_equal(array, everywhere, equal_nan=True):
             continue
         write_array(group, field, array.astype(np.uint8) if field in schema.PRESS_MASKS else array)
     for field in schema.PRESS_OPTIONAL:
@@ -256,18 +250,8 @@ def write_press(group: "h5py.Group", press: Press) -> None:
         if (reading := getattr(press, name)) is not None:
             for field in schema.PRESS_READINGS[name]:
                 write_array(group, f"{name}/{field}", getattr(reading, field))
-    if press.errors is not None:
-        write_array(group, "errors/nodes", press.errors.nodes.astype("<i8"))
-        write_array(group, "errors/forces", press.errors.forces)
-        write_array(group, "errors/displacement", press.errors.displacement)
     if press.probe is not None:
         _write_probe(group.create_group("probe"), press.probe)
-
-
-def _is_constant(array: np.ndarray, value: float | bool) -> bool:
-    return bool(
-        np.array_equal(array, np.broadcast_to(np.array(value), array.shape), equal_nan=True)
-    )
 
 
 def _write_probe(group: "h5py.Group", pose: ProbePose) -> None:

@@ -62,9 +62,10 @@ def patch_forces(
         corners = mesh.points[triangle][:, site.tangential]
         polygon = _clip(corners, circle)
         if len(polygon) >= 3:
-            nodes, integrals = _shape_integrals(discretisation, triangle, corners, polygon)
+            weights, barycentric = _quadrature(corners, polygon)
+            integrals = weights @ discretisation.surface_values(barycentric)
             inward = -mesh.surface.normals[index] * mesh.surface.areas[index]
-            forces[nodes] += integrals[:, None] * inward
+            forces[discretisation.surface_nodes(triangle[None])[0]] += integrals[:, None] * inward
     return forces
 
 
@@ -99,13 +100,10 @@ def _left_of(starts: np.ndarray, edges: np.ndarray, points: np.ndarray) -> np.nd
     return edges[..., 0] * offsets[..., 1] - edges[..., 1] * offsets[..., 0]
 
 
-def _shape_integrals(
-    discretisation: Discretisation,
-    triangle: Int[np.ndarray, "3"],
-    corners: Float[np.ndarray, "3 2"],
-    polygon: Polygon,
-) -> tuple[Int[np.ndarray, " nodes"], Float[np.ndarray, " nodes"]]:
-    """Nodes, and integrals of their shape functions over a polygon by the triangle's area."""
+def _quadrature(
+    corners: Float[np.ndarray, "3 2"], polygon: Polygon
+) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, "q 3"]]:
+    """Weights, by the triangle's area, and barycentric coordinates of points of a polygon."""
     # A fan of triangles with the midpoint rule on their edges is exact for quadratics.
     a, b, c = polygon[0], polygon[1:-1], polygon[2:]
     ab, ac = b - a, c - a
@@ -114,10 +112,4 @@ def _shape_integrals(
     edges = (corners[1:] - corners[0]).T
     weights = np.tile(areas / 3.0, 3) / (0.5 * abs(np.linalg.det(edges)))
     second_third = np.linalg.solve(edges, (points - corners[0]).T).T
-    L = np.column_stack((1.0 - second_third.sum(axis=1), second_third))
-    if not discretisation.element.quadratic:
-        return triangle, weights @ L
-    midsides = [weights @ (4.0 * L[:, i] * L[:, (i + 1) % 3]) for i in range(3)]
-    nodes = discretisation.midside(triangle, np.roll(triangle, -1))
-    integrals = np.concatenate((weights @ (L * (2.0 * L - 1.0)), midsides))
-    return np.concatenate((triangle, nodes)), integrals
+    return weights, np.column_stack((1.0 - second_third.sum(axis=1), second_third))

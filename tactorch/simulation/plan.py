@@ -55,17 +55,11 @@ class PressSite:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSite:
-    """Location of presses on a surface of any shape.
+    """Location of presses on a surface of any shape."""
 
-    Attributes:
-        point_mm: Point of the surface, (3,), mm.
-        direction: Unit vector into the object, (3,).
-        opposite: Supported side of the bounding box.
-    """
-
-    point_mm: Float[np.ndarray, "3"]
-    direction: Float[np.ndarray, "3"]
-    opposite: str
+    point_mm: Float[np.ndarray, "3"]  # of the surface
+    direction: Float[np.ndarray, "3"]  # unit vector into the object
+    opposite: str  # supported side of the bounding box
 
     @property
     def axis(self) -> int:

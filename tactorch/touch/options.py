@@ -7,14 +7,12 @@ from typing import ClassVar, Literal
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.mesh.tetmesh import FaceName
-from tactorch.phantoms.draws import check_ranges
+from tactorch.phantoms.draws import Range, check_ranges
 from tactorch.sensor.description import GelLayer, SensorDescription, load_sensor
 from tactorch.sensor.gel import GelMesh
 from tactorch.sensor.render import RenderOptions
 
 _CENTER = 0.6  # edge length of the gel's cells at the center of the face, over the mean
-
-Range = tuple[float, float]
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -52,10 +53,8 @@ class Body:
     @cached_property
     def diagonal_mm(self) -> float:
         """Diagonal of the box around the body, mm."""
-        places = extent(self.mask)
-        ends = np.array([[first - 0.5, last + 0.5] for first, last in places]).T
-        grid = np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
-        return bounding_diagonal(self.volume.positions(grid))
+        ends = ((first - 0.5, last + 0.5) for first, last in extent(self.mask))
+        return bounding_diagonal(self.volume.positions(np.array(list(product(*ends)))))
 
     def surface(self, detail_mm: float = 0.0) -> TriangleSurface:
         """Return vertices (mm) and outward triangles of the smooth surface around the voxels.

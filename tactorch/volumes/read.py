@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import read_arrays, require_file
+from tactorch.volumes.medical import read_nifti, read_segmentation
 from tactorch.volumes.volume import LabelVolume
 
 _log = logging.getLogger(__name__)
@@ -52,18 +53,13 @@ def read_volume(
     if spacing_mm is not None and kind in ("nifti", "dicom"):
         raise ConfigError(f"spacing_mm is given, but '{source}' states it; leave it out.")
     if kind == "nifti":
-        from tactorch.volumes.nifti import read_nifti
-
         values, affine, file_unit = read_nifti(source)
         labels = as_labels(values, source)
     elif kind == "dicom":
-        from tactorch.volumes.dicom import read_segmentation
-
         (values, affine, names), file_unit = read_segmentation(source), "mm"
         labels = as_labels(values, source)
     else:
-        labels, affine = _read_arrays(source, kind, spacing_mm)
-        file_unit = "mm"
+        (labels, affine), file_unit = _read_arrays(source, kind, spacing_mm), "mm"
     if unit is not None and unit != file_unit:
         _log.info("'%s': lengths are read in %s instead of %s.", source, unit, file_unit)
     used = unit or file_unit
@@ -87,11 +83,7 @@ def _kind(source: Path) -> str:
 
 
 def as_labels(values: np.ndarray, source: Path) -> Int[np.ndarray, "i j k"]:
-    """Return an array of a file as labels.
-
-    Raises:
-        FileError: It is not of three axes, empty, or not of whole numbers.
-    """
+    """Return an array of a file as labels."""
     array = np.asarray(values)
     while array.ndim > 3 and array.shape[-1] == 1:
         array = array[..., 0]
@@ -134,12 +126,11 @@ def _read_arrays(
         held = ", ".join(arrays) or "nothing"
         raise FileError(f"'{source}' has no array 'labels'; it has {held}.")
     labels = as_labels(arrays["labels"], source)
-    stated = "affine" in arrays or "spacing_mm" in arrays
-    if stated and spacing_mm is not None:
+    if spacing_mm is not None and not {"affine", "spacing_mm"}.isdisjoint(arrays):
         raise ConfigError(f"spacing_mm is given, but '{source}' states it; leave it out.")
     if "affine" in arrays:
         return labels, _numbers(arrays, "affine", (4, 4), source)
-    affine = np.eye(4)
+    sizes: Sequence[float] | np.ndarray | None = spacing_mm
     if "spacing_mm" in arrays:
         sizes = _numbers(arrays, "spacing_mm", (3,), source)
         if not (sizes > 0.0).all():
@@ -147,13 +138,11 @@ def _read_arrays(
                 f"'{source}': spacing_mm is {sizes.tolist()}; give positive edge lengths, so that "
                 "voxels have a volume, and the array affine for axes that are reversed."
             )
-        affine[:3, :3] = np.diag(sizes)
-    elif spacing_mm is not None:
-        affine[:3, :3] = np.diag(np.asarray(spacing_mm, dtype=np.float64))
-    else:
+    if sizes is None:
         raise ConfigError(
             f"'{source}' does not state the size of its voxels; give spacing_mm=[X,Y,Z]."
         )
+    affine = np.diag([*sizes, 1.0])
     if "origin_mm" in arrays:
         affine[:3, 3] = _numbers(arrays, "origin_mm", (3,), source)
     return labels, affine

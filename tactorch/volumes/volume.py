@@ -106,9 +106,13 @@ class LabelVolume:
 
     def indices(self, points: Points) -> Int[np.ndarray, "n 3"]:
         """Return the voxel that contains each point (mm), or the nearest one of the volume."""
-        inverse = np.linalg.inv(self.affine)
-        voxels = np.rint(points @ inverse[:3, :3].T + inverse[:3, 3])
+        voxels = np.rint(self.coordinates(points))
         return np.clip(voxels, 0, np.array(self.labels.shape) - 1).astype(np.int64)
+
+    def coordinates(self, points: Points) -> Float[np.ndarray, "n 3"]:
+        """Return the voxel indices of points (mm), which are not whole; see `positions`."""
+        inverse = np.linalg.inv(self.affine)
+        return points @ inverse[:3, :3].T + inverse[:3, 3]
 
     def positions(self, indices: Float[np.ndarray, "n 3"]) -> Points:
         """Return the positions of voxel indices, which need not be whole, mm."""

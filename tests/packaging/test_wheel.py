@@ -94,6 +94,7 @@ def test_trained_weights_are_in_the_wheel(names: set[str]) -> None:
 
 def test_numbers_of_the_paper_are_in_the_wheel(names: set[str]) -> None:
     assert "tactorch/reproduce/paper.yaml" in names
+    assert "tactorch/generation/card.md" in names
 
 
 def test_scripts_for_shells_are_in_the_wheel(names: set[str]) -> None:

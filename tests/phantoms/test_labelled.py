@@ -9,7 +9,7 @@ from tactorch.errors import ConfigError, FileError, MeshError
 from tactorch.inverse import INITIALIZATIONS, Bounds, InverseProblem
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
-from tactorch.phantoms.labelled import Labelled, VoxelShape
+from tactorch.phantoms.files import Labelled, VoxelShape
 from tactorch.simulation import PressPlan, simulate
 
 

@@ -1,12 +1,13 @@
-"""Reading of NIfTI files (through nibabel)."""
+"""Reading of NIfTI files and of segmentations in DICOM (through nibabel and highdicom)."""
 
 import importlib.util
 import logging
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.volumes.volume import MAX_VOXELS
@@ -14,17 +15,13 @@ from tactorch.volumes.volume import MAX_VOXELS
 _log = logging.getLogger(__name__)
 _MAX_APART = 0.5  # of the places of a voxel by sform and qform, in voxels
 _UNITS = {"mm": "mm", "meter": "m", "micron": "um", "unknown": "mm"}
+# SOP classes: Segmentation Storage, Label Map Segmentation Storage.
+_SEGMENTATIONS = ("1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7")
 
 
 def read_nifti(source: Path) -> tuple[np.ndarray, Float[np.ndarray, "4 4"], str]:
-    """Read the array of a file, its affine matrix, and the unit of the matrix ("um", "mm", "m").
-
-    Raises:
-        ConfigError: nibabel is not installed.
-        FileError: The file is damaged, no NIfTI file, or too large.
-    """
-    if importlib.util.find_spec("nibabel") is None:
-        raise ConfigError("Reading NIfTI needs nibabel: pip install 'tactorch[volumes]'.")
+    """Read the array of a file, its affine matrix, and the unit of the matrix ("um", "mm", "m")."""
+    _require("nibabel", "NIfTI")
     import nibabel as nib
 
     try:
@@ -43,10 +40,9 @@ def read_nifti(source: Path) -> tuple[np.ndarray, Float[np.ndarray, "4 4"], str]
         forms = {key: int(image.header[f"{key}_code"]) for key in ("sform", "qform")}
         apart = _apart(image) if all(forms.values()) else 0.0
     except Exception as error:  # errors of damaged files have no common base
-        reason = " ".join(str(error).split()) or type(error).__name__
         raise FileError(
-            f"'{source}' cannot be read as NIfTI: {reason}. Is the file complete, and of the "
-            "format its suffix says?"
+            f"'{source}' cannot be read as NIfTI: {_reason(error)}. Is the file complete, and of"
+            " the format its suffix says?"
         ) from error
     if not forms["sform"] and not (sizes > 0.0).all():
         shown = " x ".join(f"{size:.3g}" for size in sizes)
@@ -68,6 +64,47 @@ def read_nifti(source: Path) -> tuple[np.ndarray, Float[np.ndarray, "4 4"], str]
     return values, affine, _UNITS.get(unit, "mm")
 
 
+def read_segmentation(
+    source: Path,
+) -> tuple[Int[np.ndarray, "i j k"], Float[np.ndarray, "4 4"], dict[int, str]]:
+    """Read the segment of each voxel, the affine matrix in mm, and the names of the segments.
+
+    The matrix leads to patient coordinates (left, posterior, superior).
+    """
+    _require("highdicom", "DICOM segmentations")
+    import highdicom as hd
+    import pydicom
+
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            dataset = pydicom.dcmread(source)
+            if dataset.get("SOPClassUID") not in _SEGMENTATIONS:
+                kind = dataset.get("Modality", "unknown")
+                raise FileError(
+                    f"'{source}' is DICOM of modality {kind}, not a segmentation (SEG); give the "
+                    "segmentation of the images."
+                )
+            segments = hd.seg.Segmentation.from_dataset(dataset, copy=False)
+            volume = segments.get_volume(combine_segments=True)
+            names = {
+                int(number): str(segments.get_segment_description(number).segment_label)
+                for number in segments.segment_numbers
+            }
+            return volume.array.astype(np.int32), np.array(volume.affine, dtype=float), names
+    except FileError:
+        raise
+    except Exception as error:  # errors of damaged files have no common base
+        reason = _reason(error)
+        hint = (
+            " Export segments that do not overlap."
+            if "overlap" in reason.lower()
+            else " Is the file complete?"
+        )
+        raise FileError(
+            f"'{source}' cannot be read as a DICOM segmentation: {reason}.{hint}"
+        ) from error
+
+
 def _apart(image: Any) -> float:
     """Return the largest distance of a corner's places by sform and qform, in voxels."""
     corners = np.indices((2, 2, 2)).reshape(3, -1).T * (np.array(image.shape[:3]) - 1)
@@ -75,3 +112,12 @@ def _apart(image: Any) -> float:
     difference = corners @ (sform - qform)[:3, :3].T + (sform - qform)[:3, 3]
     sizes = np.linalg.norm(sform[:3, :3], axis=0)
     return float(np.linalg.norm(difference, axis=1).max() / max(sizes.min(), 1e-300))
+
+
+def _require(package: str, content: str) -> None:
+    if importlib.util.find_spec(package) is None:
+        raise ConfigError(f"Reading {content} needs {package}: pip install 'tactorch[volumes]'.")
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
