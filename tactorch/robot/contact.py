@@ -5,17 +5,10 @@ from jaxtyping import Bool, Float
 
 from tactorch.mesh import TetMesh
 from tactorch.mesh.closest import closest_points
-from tactorch.mesh.refine import Refinement, Sizing, refine
+from tactorch.mesh.refine import Refinement, refine
 from tactorch.sampling import Patch
 
 _RIM, _GROWTH = 0.2, 0.6  # longest edge at the rim, over the radius, and its growth with distance
-
-
-def axis_distances(patch: Patch, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """Return the distances of points from the axis of a patch, mm."""
-    offsets = points - patch.center
-    along = offsets @ patch.inward
-    return np.asarray(np.linalg.norm(offsets - along[:, None] * patch.inward, axis=1))
 
 
 def loads(patch: Patch, mesh: TetMesh, force_n: Float[np.ndarray, "3"]) -> Float[np.ndarray, "n 3"]:
@@ -26,19 +19,13 @@ def loads(patch: Patch, mesh: TetMesh, force_n: Float[np.ndarray, "3"]) -> Float
 
 def refined_at_rim(mesh: TetMesh, patch: Patch) -> Refinement:
     """Return the mesh refined at the rim of a patch, where its traction ends."""
-    return refine(mesh, _rim_sizing(patch))
-
-
-def _rim_sizing(patch: Patch) -> Sizing:
-    """Return the longest edges (mm) at points (mm): short at the rim of a patch."""
     radius = patch.radius_mm
 
-    def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
-        depth = (points - patch.center) @ patch.inward
-        gap = np.hypot(axis_distances(patch, points) - radius, depth)
-        return np.asarray(radius * _RIM + _GROWTH * gap)
+    def longest_mm(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+        across, along = patch.coordinates(points)
+        return np.asarray(radius * _RIM + _GROWTH * np.hypot(across - radius, along))
 
-    return sizing
+    return refine(mesh, longest_mm)
 
 
 def held_on(mesh: TetMesh, coarse: TetMesh, held: Bool[np.ndarray, " n"]) -> np.ndarray:

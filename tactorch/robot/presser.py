@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,11 +16,11 @@ from tactorch.fem.transfer import Transfer
 from tactorch.inverse.search.draft import Prediction
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press
-from tactorch.robot.contact import axis_distances, held_on, loads, refined_at_rim
+from tactorch.robot.contact import held_on, loads, refined_at_rim
 from tactorch.robot.driver import PressCommand, PressReport, Robot
 from tactorch.robot.smoothing import Seen, across
 from tactorch.sampling import Patch
-from tactorch.sampling.candidates import all_directions
+from tactorch.sampling.candidates import all_directions, planned_press
 
 _MIN_NODES = 3  # observed, of a press that is used
 _STEP = 0.1  # of the position in derivatives, over the radius
@@ -56,17 +56,9 @@ class RobotPresser:
 
     def plan(self, patch: Patch) -> Press:
         """Return the press as it would be reported, with displacement 0."""
-        forces = self.pressure_mpa * patch.forces(self.mesh)
-        inside = axis_distances(patch, self.mesh.points) <= patch.radius_mm
-        observed = all_directions(forces.any(axis=1) & inside)
-        return Press(
-            forces=forces,
-            observed=observed,
-            displacement=np.zeros_like(forces),
-            fixed=all_directions(self.held),
-            noise_mm=self.noise_mm,
-            direction=patch.inward,
-        )
+        plan = planned_press(patch, self.mesh, self.held, self.pressure_mpa, self.noise_mm)
+        inside = patch.coordinates(self.mesh.points)[0] <= patch.radius_mm
+        return replace(plan, observed=plan.observed & inside[:, None])
 
     def press(self, patch: Patch) -> Press:
         """Carry the press out.
@@ -115,25 +107,23 @@ class RobotPresser:
             np.asarray(report.center_mm, float), np.asarray(report.inward, float), radius_mm
         )
         seen = Seen.of(patch, np.asarray(report.points_mm, float), self.mesh)
-        smoothing = seen.smoothing
-        if len(smoothing.nodes) < _MIN_NODES:
+        if len(seen.nodes) < _MIN_NODES:
             raise RobotError(
-                f"only {len(smoothing.nodes)} nodes of the mesh are within the "
+                f"only {len(seen.nodes)} nodes of the mesh are within the "
                 f"{len(report.points_mm)} measured points; use a finer mesh, or report points over "
                 "the whole contact area."
             )
         name = _press_name(report)
         self.seen[name] = seen
         observed = np.zeros(self.mesh.n_points, dtype=bool)
-        observed[smoothing.nodes] = True
-        noise = smoothing.noise
+        observed[seen.nodes] = True
         weights = np.ones((self.mesh.n_points, 3))
-        mean = float(np.sqrt(np.mean(noise**2)))
-        weights[smoothing.nodes] = (mean / noise)[:, None]
+        mean = float(np.sqrt(np.mean(seen.noise**2)))
+        weights[seen.nodes] = (mean / seen.noise)[:, None]
         return Press(
             forces=loads(patch, self.mesh, np.asarray(report.force_n, float)),
             observed=all_directions(observed),
-            displacement=smoothing(np.asarray(report.displacements_mm)),
+            displacement=seen.smoothed(np.asarray(report.displacements_mm), self.mesh),
             fixed=all_directions(self.held),
             noise_mm=mean * float(report.noise_mm),
             weights=weights,
@@ -168,7 +158,8 @@ class RobotPresser:
         fine = refined_at_rim(self.mesh, seen.patch).mesh
         held = held_on(fine, self.mesh, self.held)  # new nodes of a held face are held as well
         body, moved = self._solve(fine, held, loads(seen.patch, fine, force_n), youngs_mpa)
-        return seen.smoothing(Transfer.between(body.discretisation, seen.points_mm)(moved))
+        at_points = Transfer.between(body.discretisation, seen.points_mm)(moved)
+        return seen.smoothed(at_points, self.mesh)
 
     def _solve(
         self, mesh: TetMesh, held: np.ndarray, forces: np.ndarray, youngs_mpa: float

@@ -1,7 +1,7 @@
-"""Displacements of nodes by measured points."""
+"""Reported presses: displacements of nodes by those of measured points."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,26 +16,26 @@ _NEAR, _POINTS = 0.5, 12  # distance of points of a fit, over the radius, and le
 
 
 @dataclass(frozen=True, eq=False)
-class Smoothing:
-    """Displacements of the nodes within measured points.
+class Seen:
+    """Where a press was, as the robot reported it, and the nodes within its measured points.
 
     A quadratic polynomial is fitted to the points around each node, by weights that fall to zero at
     a distance of half the radius (moving least squares). It averages the noise of many points.
 
     Attributes:
-        nodes: Loaded nodes within the measured points, (k,).
-        rows: Weights of the points in the value at each of them, (k, points).
-        n_nodes: Number of nodes of the mesh.
+        patch: Reported pose.
+        points_mm: Measured points of the undeformed surface, (points, 3).
+        nodes: Loaded nodes within them, (k,).
+        rows: Weights of the points in the value at each of these nodes, (k, points).
     """
 
+    patch: Patch
+    points_mm: Float[np.ndarray, "points 3"]
     nodes: Int[np.ndarray, " k"]
     rows: Float[np.ndarray, "k points"]
-    n_nodes: int
 
     @classmethod
-    def of(
-        cls, patch: Patch, points_mm: Float[np.ndarray, "points 3"], mesh: TetMesh
-    ) -> "Smoothing":
+    def of(cls, patch: Patch, points_mm: Float[np.ndarray, "points 3"], mesh: TetMesh) -> "Seen":
         """Prepare the nodes of a mesh that a patch loads."""
         loaded = np.flatnonzero(patch.forces(mesh).any(axis=1))
         axes = across(patch.inward)
@@ -45,45 +45,26 @@ class Smoothing:
         except (QhullError, ValueError):  # fewer than three points, or all on a line
             inside = np.zeros(len(nodes), dtype=bool)
         rows = [_weights(points, node, _NEAR * patch.radius_mm) for node in nodes[inside]]
-        return cls(loaded[inside], np.array(rows).reshape(-1, len(points)), mesh.n_points)
+        return cls(patch, points_mm, loaded[inside], np.array(rows).reshape(-1, len(points)))
 
     @property
     def noise(self) -> Float[np.ndarray, " k"]:
         """Standard deviation at each node over that at a point; largest at the edge of them."""
         return np.asarray(np.linalg.norm(self.rows, axis=1))
 
-    def __call__(self, values: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "n 3"]:
-        """Return the displacements of the nodes of the mesh, zero where they are not known."""
-        result = np.zeros((self.n_nodes, 3))
+    def smoothed(
+        self, values: Float[np.ndarray, "points 3"], mesh: TetMesh
+    ) -> Float[np.ndarray, "n 3"]:
+        """Return the displacements of all nodes by those of the points, zero where not known."""
+        result = np.zeros((mesh.n_points, 3))
         result[self.nodes] = self.rows @ values
         return result
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """Where a press was, as the robot reported it.
-
-    Attributes:
-        patch: Reported pose.
-        points_mm: Measured points of the undeformed surface, (points, 3).
-        smoothing: Displacements of nodes by those of the points.
-    """
-
-    patch: Patch
-    points_mm: Float[np.ndarray, "points 3"]
-    smoothing: Smoothing
-
-    @classmethod
-    def of(cls, patch: Patch, points_mm: Float[np.ndarray, "points 3"], mesh: TetMesh) -> "Seen":
-        """Prepare the smoothing."""
-        return cls(patch, points_mm, Smoothing.of(patch, points_mm, mesh))
 
     def moved(self, step_mm: Float[np.ndarray, "3"], mesh: TetMesh) -> "Seen":
         """Return the press and its points at another place of the surface; nodes move with it."""
         there = np.vstack([self.patch.center, self.points_mm]) + step_mm
         there = closest_points(mesh.points, mesh.surface.triangles, there).points
-        patch = Patch(there[0], self.patch.inward, self.patch.radius_mm)
-        return Seen(patch, there[1:], self.smoothing)
+        return replace(self, patch=replace(self.patch, center=there[0]), points_mm=there[1:])
 
     def plain(self) -> list[Any]:
         """Return plain values, from which `restored` makes it."""
