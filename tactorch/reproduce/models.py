@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tactorch.files import write_file
 from tactorch.inverse import (
     TNC,
     InverseProblem,
@@ -112,11 +113,9 @@ def run_with_trace(recording: Recording, settings: Settings, scratch: Path) -> T
     """
     truth = recording.truth
     assert truth is not None
-    scratch.mkdir(parents=True, exist_ok=True)
-    checkpoint, file = scratch / "checkpoint.h5", scratch / "trace.jsonl"
+    checkpoint, file = scratch / "checkpoint.h5", scratch / "trace.json"
     resumed = checkpoint.is_file() and file.is_file()
-    trace = _read_trace(file) if resumed else []
-    file.write_text("".join(map(_line, trace)))
+    trace = [TracePoint(*point) for point in json.loads(file.read_text())] if resumed else []
 
     def add_point(record: dict[str, Any], youngs: np.ndarray) -> None:
         start = time.perf_counter()
@@ -125,8 +124,7 @@ def run_with_trace(recording: Recording, settings: Settings, scratch: Path) -> T
         seconds = record["seconds"] - scoring
         scoring += time.perf_counter() - start
         trace.append(TracePoint(record["evaluations"], seconds, similarity, scoring))
-        with open(file, "a") as stream:
-            stream.write(_line(trace[-1]))
+        write_file(file, json.dumps(trace))
 
     result = invert_map(
         replace(recording, truth=None),
@@ -138,21 +136,6 @@ def run_with_trace(recording: Recording, settings: Settings, scratch: Path) -> T
         on_iteration=add_point,
     )
     return TracedRun(result, trace)
-
-
-def _line(point: TracePoint) -> str:
-    return json.dumps(point._asdict()) + "\n"
-
-
-def _read_trace(file: Path) -> list[TracePoint]:
-    """Return the states of an earlier call up to the first truncated line."""
-    trace = []
-    for line in file.read_text().splitlines():
-        try:
-            trace.append(TracePoint(**json.loads(line)))
-        except ValueError:
-            break
-    return trace
 
 
 def cases(options: CaseSettings) -> dict[str, CaseSettings]:
