@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,9 +15,9 @@ from tactorch.fem.transfer import Transfer
 from tactorch.inverse.search.draft import Prediction
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press
-from tactorch.robot.contact import held_on, loads, refined_at_rim
+from tactorch.recording.refine import prolong_fixed
+from tactorch.robot.contact import Seen, across, loads, refined_at_rim
 from tactorch.robot.driver import PressCommand, PressReport, Robot
-from tactorch.robot.smoothing import Seen, across
 from tactorch.sampling import Patch
 from tactorch.sampling.candidates import all_directions, planned_press
 
@@ -150,30 +149,25 @@ class RobotPresser:
             moved = self._fine(seen.moved(step, self.mesh), force, youngs_mpa)
             per_mm.append((moved - better) / float(np.linalg.norm(step)))
         forces = loads(seen.patch, self.mesh, force)
-        _, present = self._solve(self.mesh, self.held, forces, youngs_mpa)
+        _, present = self._solve(self.mesh, all_directions(self.held), forces, youngs_mpa)
         return Prediction(better, present[: self.mesh.n_points], np.array(per_mm))
 
     def _fine(self, seen: Seen, force_n: np.ndarray, youngs_mpa: float) -> np.ndarray:
         """Return what would be seen at the nodes of a uniform body, by a finer mesh, mm."""
-        fine = refined_at_rim(self.mesh, seen.patch).mesh
-        held = held_on(fine, self.mesh, self.held)  # new nodes of a held face are held as well
-        body, moved = self._solve(fine, held, loads(seen.patch, fine, force_n), youngs_mpa)
+        refinement = refined_at_rim(self.mesh, seen.patch)
+        fine, fixed = refinement.mesh, prolong_fixed(all_directions(self.held), refinement)
+        body, moved = self._solve(fine, fixed, loads(seen.patch, fine, force_n), youngs_mpa)
         at_points = Transfer.between(body.discretisation, seen.points_mm)(moved)
         return seen.smoothed(at_points, self.mesh)
 
     def _solve(
-        self, mesh: TetMesh, held: np.ndarray, forces: np.ndarray, youngs_mpa: float
+        self, mesh: TetMesh, fixed: np.ndarray, forces: np.ndarray, youngs_mpa: float
     ) -> tuple[SoftBody, np.ndarray]:
-        body = SoftBody(mesh, self._law, element="tet10")
-        supports = Supports(fixed=all_directions(held))
-        youngs = np.full(mesh.n_tets, youngs_mpa)
-        return body, body.equilibrate(youngs, forces, supports).require().displacement
-
-    @cached_property
-    def _law(self) -> Any:
-        return make_material(
-            self.material.name, self.material.poisson, **dict(self.material.parameters)
-        )
+        spec = self.material
+        law = make_material(spec.name, spec.poisson, **spec.parameters)
+        body, youngs = SoftBody(mesh, law, element="tet10"), np.full(mesh.n_tets, youngs_mpa)
+        result = body.equilibrate(youngs, forces, Supports(fixed=fixed)).require()
+        return body, result.displacement
 
     def plain(self) -> dict[str, Any]:
         """Return poses and points as plain values, from which `restore` continues."""

@@ -17,9 +17,8 @@ from tactorch.mesh import TetMesh, face_nodes
 from tactorch.mesh.closest import closest_points
 from tactorch.phantoms import Phantom
 from tactorch.phantoms.library import PHANTOMS  # noqa: F401  (the registry of the section)
-from tactorch.robot.contact import loads, refined_at_rim
+from tactorch.robot.contact import across, loads, refined_at_rim
 from tactorch.robot.driver import PressCommand, PressReport
-from tactorch.robot.smoothing import across
 from tactorch.sampling import Patch
 from tactorch.sampling.candidates import all_directions
 
@@ -149,8 +148,7 @@ class SimulatedRobot(Options):
         self, patch: Patch, force_n: float, points: Float[np.ndarray, "k 3"]
     ) -> Float[np.ndarray, "k 3"]:
         fine = refined_at_rim(self.mesh, patch)
-        held = np.zeros(fine.mesh.n_points, dtype=bool)
-        held[face_nodes(fine.mesh, self.held_face)] = True
+        held = np.isin(np.arange(fine.mesh.n_points), face_nodes(fine.mesh, self.held_face))
         body = SoftBody(fine.mesh, make_material("neo_hookean", self.poisson), element="tet10")
         forces = loads(patch, fine.mesh, force_n * patch.inward)
         supports = Supports(fixed=all_directions(held))

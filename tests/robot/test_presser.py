@@ -11,7 +11,7 @@ from robot_fakes import FakeRobot, quadratic
 
 from tactorch.errors import ForceLimitError, PoseRefusedError, RobotError, RobotTimeoutError
 from tactorch.robot import RobotPresser
-from tactorch.robot.smoothing import across
+from tactorch.robot.contact import across
 from tactorch.sampling import Patch, Presser
 
 Make = Callable[..., RobotPresser]
