@@ -176,7 +176,6 @@ class _Session(PressSource, Observer):
     places: list[int] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
     started: float = field(default_factory=time.perf_counter)
-    updated_at: float = 0.0
     name = "the presser"
 
     def available(self, recording: Recording) -> Candidates:
@@ -194,16 +193,14 @@ class _Session(PressSource, Observer):
         self.about = Recording(self.mesh, (press,), self.material, check_units=False)
         return [Arrival(press, f"press {len(self.places)}", digest(press))]
 
-    def updated(self, update: Update) -> None:
-        self.updated_at = time.perf_counter()
-
     def suggested(self, update: Update) -> None:
         suggestion, rms = update.suggestion, update.rms_deviation
         assert suggestion is not None
         ended = len(self.places) == self.budget
         if suggestion.deviation is None or rms is None or (suggestion.index is None and not ended):
             raise ConfigError(suggestion.reason)
-        press, seconds = update.recording.presses[-1], self.updated_at - self.started
+        press = update.recording.presses[-1]
+        seconds = time.perf_counter() - suggestion.seconds - self.started
         step = Step(self.places[-1], press, update.youngs, suggestion.deviation, rms, seconds)
         self.steps.append(step)
         self.next_place = suggestion.index
