@@ -81,8 +81,7 @@ def psnr(youngs: Field, truth: Field, range_mpa: Range = 1.0) -> float:
 
     The range of the data is in MPa (1 in Table II), or "truth" for max - min of the truth.
     """
-    _check_pair(youngs, truth)
-    peak, error = _range(range_mpa, truth), rmse_mpa(youngs, truth)
+    error, peak = rmse_mpa(youngs, truth), _range(range_mpa, truth)
     return float(20 * np.log10(peak / error)) if error > 0 else float("inf")
 
 

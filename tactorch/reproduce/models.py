@@ -11,6 +11,7 @@ exact data.
 import json
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -247,17 +248,9 @@ def table1(results: Results, options: CaseSettings) -> Exhibit:
     return Exhibit([table.markdown(), "\n".join(lines)], table)
 
 
-def fig4(results: Results, options: CaseSettings) -> Exhibit:
-    """Return Fig. 4, objects of two materials: truth (top) and both methods."""
-    return _maps({name: result for name, result in results.items() if name[0] == "4"})
-
-
-def fig5(results: Results, options: CaseSettings) -> Exhibit:
-    """Return Fig. 5: heterogeneous objects."""
-    return _maps({name: result for name, result in results.items() if name[0] == "5"})
-
-
-def _maps(results: Results) -> Exhibit:
+def maps(number: str, results: Results, options: CaseSettings) -> Exhibit:
+    """Return Fig. 4 (objects of two materials) or 5 (heterogeneous ones): truth, both methods."""
+    results = {name: result for name, result in results.items() if name[0] == number}
     table = Table(
         {"model": None, "method": None, "s": 4, "SSIM": 4, "PSNR": 2, "RMSE": 4,
          "position error, mm": 2}
@@ -277,4 +270,4 @@ def _maps(results: Results) -> Exhibit:
     return Exhibit([table.markdown()], table, figure, "Truth, this package and TNC, middle slices")
 
 
-EXHIBITS = {"table1": table1, "fig4": fig4, "fig5": fig5}
+EXHIBITS = {"table1": table1, "fig4": partial(maps, "4"), "fig5": partial(maps, "5")}
