@@ -25,7 +25,7 @@ def run_in_processes(
     """
     from joblib import Parallel, delayed, parallel_config
 
-    count = min(workers or os.cpu_count() or 1, len(tasks))
+    count = min(workers or os.cpu_count() or 1, len(tasks) or 1)
     with parallel_config(backend="loky", inner_max_num_threads=1), warnings.catch_warnings():
         # An interrupted pool warns about the tasks that it cancels.
         warnings.filterwarnings("ignore", message=".*have been cancelled")

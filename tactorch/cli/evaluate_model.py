@@ -32,8 +32,7 @@ from tactorch.cli.train import TrainOptions, check_data, split_folder
 from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.files import require_folder, write_json
-from tactorch.learning.recognition import load_recognizer
-from tactorch.learning.recognizer import class_scores
+from tactorch.learning.recognizer import class_scores, load_recognizer
 from tactorch.learning.surrogate.network import correlation, load_surrogate
 from tactorch.learning.training import BEST
 from tactorch.viz import save_figure

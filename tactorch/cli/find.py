@@ -68,14 +68,14 @@ def _search(run: Run, max_lumps: int) -> Reconstruction:
 
 
 def _load(path: Path) -> object:
-    from tactorch.learning.recognition import load_recognizer
+    from tactorch.learning.recognizer import load_recognizer
 
     return load_recognizer(str(path))
 
 
 def _recognise(network: object, result: Reconstruction, out: Path) -> None:
     """Add the probabilities of the shapes that a recognizer knows to the finding."""
-    from tactorch.learning.recognition import recognise
+    from tactorch.learning.recognizer import recognise
 
     shares = recognise(result.mesh, result.youngs, network)  # type: ignore[arg-type]
     text = ", ".join(f"{name} {share:.0%}" for name, share in shares.items())

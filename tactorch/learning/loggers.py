@@ -9,14 +9,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import PIL.Image
+from lightning.pytorch.loggers import (
+    CSVLogger,
+    Logger,
+    MLFlowLogger,
+    TensorBoardLogger,
+    WandbLogger,
+)
 
 from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError
 
 if TYPE_CHECKING:
-    from lightning.pytorch.loggers import Logger
     from matplotlib.figure import Figure
-    from PIL.Image import Image
 
 _HOME = "tactorch.learning.loggers"
 #: Loggers by name. Other packages add theirs by entry points of the group `tactorch.logger`.
@@ -39,7 +44,7 @@ class LoggerOptions(Options, ABC):
     section: ClassVar[str] = "logger"
 
     @abstractmethod
-    def build(self, folder: Path) -> "Logger | None":
+    def build(self, folder: Path) -> Logger | None:
         """Return the logger of a run; its files are in the folder."""
 
 
@@ -47,10 +52,7 @@ class LoggerOptions(Options, ABC):
 class TensorBoard(LoggerOptions):
     """Files of TensorBoard in `tensorboard/`, with pictures and hyperparameters."""
 
-    def build(self, folder: Path) -> "Logger | None":
-        """See `LoggerOptions.build`."""
-        from lightning.pytorch.loggers import TensorBoardLogger
-
+    def build(self, folder: Path) -> Logger | None:
         return TensorBoardLogger(
             str(folder), name="", version="tensorboard", default_hp_metric=False
         )
@@ -60,10 +62,7 @@ class TensorBoard(LoggerOptions):
 class Csv(LoggerOptions):
     """A table `csv/metrics.csv`, with hyperparameters in `csv/hparams.yaml`."""
 
-    def build(self, folder: Path) -> "Logger | None":
-        """See `LoggerOptions.build`."""
-        from lightning.pytorch.loggers import CSVLogger
-
+    def build(self, folder: Path) -> Logger | None:
         return CSVLogger(str(folder), name="", version="csv")
 
 
@@ -74,11 +73,8 @@ class WeightsAndBiases(LoggerOptions):
     project: str = option("tactorch", "Name of the project")
     offline: bool = option(False, "Write files in the run's folder, for `wandb sync`")
 
-    def build(self, folder: Path) -> "Logger | None":
-        """See `LoggerOptions.build`."""
-        _require("wandb", "wandb")
-        from lightning.pytorch.loggers import WandbLogger
-
+    def build(self, folder: Path) -> Logger | None:
+        _require("wandb")
         return WandbLogger(
             name=folder.name, save_dir=str(folder), project=self.project, offline=self.offline
         )
@@ -91,11 +87,8 @@ class MlFlow(LoggerOptions):
     project: str = option("tactorch", "Name of the experiment")
     uri: str | None = option(None, "Address of the server; null: a folder `mlruns` in the run's")
 
-    def build(self, folder: Path) -> "Logger | None":
-        """See `LoggerOptions.build`."""
-        _require("mlflow", "mlflow")
-        from lightning.pytorch.loggers import MLFlowLogger
-
+    def build(self, folder: Path) -> Logger | None:
+        _require("mlflow")
         uri = self.uri or (folder.resolve() / "mlruns").as_uri()
         try:
             return MLFlowLogger(
@@ -109,42 +102,34 @@ class MlFlow(LoggerOptions):
 class NoLogger(LoggerOptions):
     """No logger; `curve.json` has the losses in any case."""
 
-    def build(self, folder: Path) -> "Logger | None":
-        """See `LoggerOptions.build`."""
+    def build(self, folder: Path) -> Logger | None:
         return None
 
 
-def _require(package: str, name: str) -> None:
+def _require(package: str) -> None:
     if find_spec(package) is None:
-        raise ConfigError(f"logger={name} needs the package: pip install {package}.")
+        raise ConfigError(f"logger={package} needs the package: pip install {package}.")
 
 
-def log_figure(logger: "Logger", name: str, figure: "Figure", step: int) -> bool:
-    """Log a picture; return whether the logger takes pictures."""
+def log_figure(logger: Any, name: str, figure: "Figure", step: int) -> bool:
+    """Log a picture with a logger of Lightning; return whether it takes pictures."""
     kind = type(logger).__name__
-    experiment: Any = logger.experiment  # type: ignore[attr-defined]
     if kind == "TensorBoardLogger":
-        experiment.add_figure(name, figure, global_step=step, close=False)
+        logger.experiment.add_figure(name, figure, global_step=step, close=False)
     elif kind == "WandbLogger":
-        logger.log_image(key=name, images=[_image(figure)], step=step)  # type: ignore[attr-defined]
+        picture = io.BytesIO()
+        figure.savefig(picture, format="png")
+        logger.log_image(key=name, images=[PIL.Image.open(picture)], step=step)
     elif kind == "MLFlowLogger":
         file = f"{name.replace('/', '_')}-{step:06d}.png"
-        experiment.log_figure(logger.run_id, figure, file)  # type: ignore[attr-defined]
+        logger.experiment.log_figure(logger.run_id, figure, file)
     else:
         return False
     return True
 
 
-def _image(figure: "Figure") -> "Image":
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    return PIL.Image.open(buffer)
-
-
-def log_scores(
-    logger: "Logger | None", parameters: Mapping[str, Any], scores: Mapping[str, float]
-) -> None:
+def log_scores(logger: Any, parameters: Mapping[str, Any], scores: Mapping[str, float]) -> None:
     """Log hyperparameters with the final scores, as the table of TensorBoard wants them."""
     if type(logger).__name__ == "TensorBoardLogger":
-        logger.log_hyperparams(dict(parameters), dict(scores))  # type: ignore[union-attr]
-        logger.save()  # type: ignore[union-attr]
+        logger.log_hyperparams(dict(parameters), dict(scores))
+        logger.save()

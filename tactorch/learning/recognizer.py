@@ -1,4 +1,4 @@
-"""The recognizer: which inclusion a map of Young's modulus shows (Section V-B); data and scores."""
+"""The recognizer: which inclusion a map of Young's modulus shows (Section V-B), and its scores."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,8 +22,9 @@ from tactorch.learning.data import (
     apply_symmetry,
     symmetries,
 )
-from tactorch.learning.training import Network, NetworkOptions
-from tactorch.mesh import VoxelGrid
+from tactorch.learning.training import BEST, Network, NetworkOptions, load_network
+from tactorch.mesh import TetMesh, VoxelGrid
+from tactorch.metrics.segment import check_field
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,6 +194,33 @@ class Recognizer(Network):
         logits = self(maps)
         accuracy = (logits.argmax(dim=1) == labels).double().mean()
         return {"loss": functional.cross_entropy(logits, labels), "accuracy": accuracy}
+
+
+def load_recognizer(path: str | Path) -> Recognizer:
+    """Read a trained recognizer: the folder of its run, of one of its splits, or a checkpoint."""
+    checkpoint = Path(path)
+    if checkpoint.is_dir():
+        files = [checkpoint / BEST, *sorted(checkpoint.glob(f"split-*/{BEST}"))]
+        checkpoint = next((file for file in files if file.is_file()), files[0])
+    advice = "give the run of `tactorch train experiment=recognizer`"
+    return load_network(Recognizer, checkpoint, "recognizer", advice)
+
+
+def recognise(
+    mesh: TetMesh, youngs: Float[np.ndarray, " m"], recognizer: Recognizer, *, voxels: int = 24
+) -> dict[str, float]:
+    """Return the probability of each shape, in descending order.
+
+    Only shapes that the recognizer was trained on are considered. The map has `voxels` in each
+    direction, 24 by default as in training; the network accepts any number.
+    """
+    check_field("youngs", youngs, mesh)
+    grid = VoxelGrid(mesh, voxels)
+    volume = torch.from_numpy(np.log(grid.fill(youngs))).float()[None, None]
+    with torch.no_grad():
+        probabilities = recognizer.eval()(volume).softmax(dim=1)[0].tolist()
+    by_name = dict(zip(recognizer.classes, probabilities, strict=True))
+    return dict(sorted(by_name.items(), key=lambda item: -item[1]))
 
 
 class ClassScores(NamedTuple):

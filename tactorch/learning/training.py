@@ -58,21 +58,16 @@ class TrainerOptions(Options):
             raise ConfigError("trainer=gpu needs a CUDA device, and torch sees none here.")
 
 
-def save_atomically(content: dict[str, Any], path: str | Path) -> None:
-    """Write content for `torch.load`; `torch.save` to a full disk would abort the process."""
-    memory = io.BytesIO()
-    torch.save(content, memory)
-    write_file(path, memory.getvalue())
-
-
 class AtomicCheckpointIO(TorchCheckpointIO):
-    """Writes checkpoints atomically."""
+    """Writes checkpoints atomically; `torch.save` to a full disk would abort the process."""
 
     def save_checkpoint(
         self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None
     ) -> None:
-        """Write a checkpoint; see `save_atomically`."""
-        save_atomically(checkpoint, path)
+        """Write a checkpoint."""
+        memory = io.BytesIO()
+        torch.save(checkpoint, memory)
+        write_file(path, memory.getvalue())
 
 
 class LossHistory(lightning.Callback):

@@ -19,11 +19,13 @@ segmented like any other; the measures then refer to its stiffest (softest) part
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from tactorch.errors import ConfigError, MeshError
 from tactorch.mesh import TetMesh, VoxelGrid
 from tactorch.metrics.segment import Field, Mask, check_field, inclusion_side, segment, volume_mean
 
+Array = Float[np.ndarray, "..."]
 Range = float | Literal["truth"]
 _NAN = float("nan")
 
@@ -79,8 +81,7 @@ def psnr(youngs: Field, truth: Field, range_mpa: Range = 1.0) -> float:
 
     The range of the data is in MPa (1 in Table II), or "truth" for max - min of the truth.
     """
-    _check_pair(youngs, truth)
-    peak, error = _range(range_mpa, truth), rmse_mpa(youngs, truth)
+    error, peak = rmse_mpa(youngs, truth), _range(range_mpa, truth)
     return float(20 * np.log10(peak / error)) if error > 0 else float("inf")
 
 
@@ -96,15 +97,9 @@ def ssim_1d(youngs: Field, truth: Field, window: int = 401, range_mpa: Range = "
         window: Length of the window, odd and at most m.
         range_mpa: Range of the data, MPa, or "truth" for max - min of the truth.
     """
-    from skimage.metrics import structural_similarity
-
     _check_pair(youngs, truth)
-    if window % 2 == 0 or not 3 <= window <= len(truth):
-        raise ConfigError(
-            f"window is {window}; it must be odd, and from 3 to the {len(truth)} elements"
-        )
     peak = _range(range_mpa, truth)
-    return float(structural_similarity(youngs, truth, win_size=window, data_range=peak))
+    return float(local_ssim(youngs, truth, window, peak, "elements")[0])
 
 
 def ssim(
@@ -132,21 +127,27 @@ def ssim(
         window: Edge of the cubic window, voxels, odd.
         range_mpa: Range of the data, MPa.
     """
+    _check_pair(youngs, truth, mesh)
+    peak, grid = _range(range_mpa, truth), VoxelGrid(mesh, voxels)
+    _, similarity = local_ssim(grid.fill(youngs), grid.fill(truth), window, peak, "voxels")
+    inner, margin = np.zeros_like(grid.inside), window // 2
+    inner[(slice(margin, -margin),) * 3] = True
+    counted = grid.inside & inner
+    return float(similarity[counted if counted.any() else grid.inside].mean())
+
+
+def local_ssim(
+    youngs: Array, truth: Array, window: int, range_mpa: float, of: str
+) -> tuple[float, Array]:
+    """Return the structural similarity of two arrays, its mean and around each entry."""
     from skimage.metrics import structural_similarity
 
-    _check_pair(youngs, truth, mesh)
-    if window % 2 == 0 or not 3 <= window <= voxels:
-        raise ConfigError(f"window is {window}; it must be odd, and from 3 to {voxels} voxels")
-    peak, grid = _range(range_mpa, truth), VoxelGrid(mesh, voxels)
-    elements, inside = grid.nearest, grid.inside
-    _, similarity = structural_similarity(
-        youngs[elements], truth[elements], win_size=window, data_range=peak, full=True
+    if window % 2 == 0 or not 3 <= window <= len(truth):
+        raise ConfigError(f"window is {window}; it must be odd, and from 3 to {len(truth)} {of}")
+    mean, local = structural_similarity(
+        youngs, truth, win_size=window, data_range=range_mpa, full=True
     )
-    inner = np.zeros_like(inside)
-    margin = window // 2
-    inner[(slice(margin, -margin),) * 3] = True
-    counted = inside & inner
-    return float(similarity[counted if counted.any() else inside].mean())
+    return mean, local
 
 
 def position_error_mm(mesh: TetMesh, youngs: Field, truth: Field) -> float:

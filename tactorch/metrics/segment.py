@@ -106,8 +106,8 @@ def inclusion_side(mesh: TetMesh, values: Field) -> Side | None:
 
     The side is that of the extreme with the larger ratio to the background.
     """
-    background, low, high = _levels(mesh, values)
-    stiffer, softer = high / background, background / low
+    background, means = weighted_median(values, mesh.volumes), neighbourhood_mean(mesh, values)
+    stiffer, softer = float(means.max()) / background, background / float(means.min())
     if max(stiffer, softer) <= 1 + MIN_CONTRAST:
         return None
     return "stiff" if stiffer >= softer else "soft"
@@ -184,12 +184,6 @@ def connected_parts(mesh: TetMesh, mask: Mask) -> list[Mask]:
     graph = coo_array((np.ones(len(inner)), (inner[:, 0], inner[:, 1])), shape=(mesh.n_tets,) * 2)
     _, labels = connected_components(graph, directed=False)
     return [mask & (labels == label) for label in np.unique(labels[mask])]
-
-
-def _levels(mesh: TetMesh, values: Field) -> tuple[float, float, float]:
-    """Background, lowest and highest level."""
-    means = neighbourhood_mean(mesh, values)
-    return weighted_median(values, mesh.volumes), float(means.min()), float(means.max())
 
 
 def check_field(name: str, values: Field, mesh: TetMesh | None = None) -> None:

@@ -100,7 +100,7 @@ def prolong_recording(
 
 def _prolong_press(press: Press, refinement: Refinement, smooth: bool) -> Press:
     rows = ((0, len(refinement.ends)), (0, 0))
-    fixed = _prolong_fixed(press.fixed, refinement)
+    fixed = prolong_fixed(press.fixed, refinement)
     return replace(
         press,
         forces=_prolong_forces(press.forces, refinement, smooth),
@@ -159,7 +159,7 @@ def _with_unchanged(
     return out
 
 
-def _prolong_fixed(
+def prolong_fixed(
     fixed: Bool[np.ndarray, "n 3"], refinement: Refinement
 ) -> Bool[np.ndarray, "fine 3"]:
     """Fix the fine nodes of boundary triangles whose coarse vertices are all fixed, by axis."""

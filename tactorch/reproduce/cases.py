@@ -49,8 +49,6 @@ class CaseResult:
     @property
     def mesh(self) -> TetMesh:
         """Mesh of a result made by `on_mesh`."""
-        if "points" not in self.arrays:
-            raise FileError("a stored case has no mesh; delete its folder to compute it again.")
         return TetMesh.create(self.arrays["points"], self.arrays["tets"])
 
     def save(self, path: Path) -> None:

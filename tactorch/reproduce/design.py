@@ -30,6 +30,7 @@ import numpy as np
 
 from tactorch.mesh import VoxelGrid
 from tactorch.metrics import scores
+from tactorch.metrics.scores import local_ssim
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
 from tactorch.reproduce.cases import CaseResult, CaseSettings, Exhibit, Results, Table
@@ -189,11 +190,9 @@ def fig8(results: Results, options: CaseSettings) -> Exhibit:
 
 def _layers(result: CaseResult, count: int, voxels: int = 24) -> np.ndarray:
     """Return the 3-D SSIM averaged over each layer, the top one first."""
-    from skimage.metrics import structural_similarity
-
     grid = VoxelGrid(result.mesh, voxels)
     youngs, truth = grid.fill(result.arrays["youngs"]), grid.fill(result.arrays["truth"])
-    _, local = structural_similarity(youngs, truth, win_size=7, data_range=1.0, full=True)
+    _, local = local_ssim(youngs, truth, 7, 1.0, "voxels")
     return np.array([part.mean() for part in np.array_split(local[:, :, ::-1], count, axis=2)])
 
 

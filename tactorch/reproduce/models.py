@@ -11,11 +11,13 @@ exact data.
 import json
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from tactorch.files import write_file
 from tactorch.inverse import (
     TNC,
     InverseProblem,
@@ -112,11 +114,9 @@ def run_with_trace(recording: Recording, settings: Settings, scratch: Path) -> T
     """
     truth = recording.truth
     assert truth is not None
-    scratch.mkdir(parents=True, exist_ok=True)
-    checkpoint, file = scratch / "checkpoint.h5", scratch / "trace.jsonl"
+    checkpoint, file = scratch / "checkpoint.h5", scratch / "trace.json"
     resumed = checkpoint.is_file() and file.is_file()
-    trace = _read_trace(file) if resumed else []
-    file.write_text("".join(map(_line, trace)))
+    trace = [TracePoint(*point) for point in json.loads(file.read_text())] if resumed else []
 
     def add_point(record: dict[str, Any], youngs: np.ndarray) -> None:
         start = time.perf_counter()
@@ -125,8 +125,7 @@ def run_with_trace(recording: Recording, settings: Settings, scratch: Path) -> T
         seconds = record["seconds"] - scoring
         scoring += time.perf_counter() - start
         trace.append(TracePoint(record["evaluations"], seconds, similarity, scoring))
-        with open(file, "a") as stream:
-            stream.write(_line(trace[-1]))
+        write_file(file, json.dumps(trace))
 
     result = invert_map(
         replace(recording, truth=None),
@@ -138,21 +137,6 @@ def run_with_trace(recording: Recording, settings: Settings, scratch: Path) -> T
         on_iteration=add_point,
     )
     return TracedRun(result, trace)
-
-
-def _line(point: TracePoint) -> str:
-    return json.dumps(point._asdict()) + "\n"
-
-
-def _read_trace(file: Path) -> list[TracePoint]:
-    """Return the states of an earlier call up to the first truncated line."""
-    trace = []
-    for line in file.read_text().splitlines():
-        try:
-            trace.append(TracePoint(**json.loads(line)))
-        except ValueError:
-            break
-    return trace
 
 
 def cases(options: CaseSettings) -> dict[str, CaseSettings]:
@@ -264,17 +248,9 @@ def table1(results: Results, options: CaseSettings) -> Exhibit:
     return Exhibit([table.markdown(), "\n".join(lines)], table)
 
 
-def fig4(results: Results, options: CaseSettings) -> Exhibit:
-    """Return Fig. 4, objects of two materials: truth (top) and both methods."""
-    return _maps({name: result for name, result in results.items() if name[0] == "4"})
-
-
-def fig5(results: Results, options: CaseSettings) -> Exhibit:
-    """Return Fig. 5: heterogeneous objects."""
-    return _maps({name: result for name, result in results.items() if name[0] == "5"})
-
-
-def _maps(results: Results) -> Exhibit:
+def maps(number: str, results: Results, options: CaseSettings) -> Exhibit:
+    """Return Fig. 4 (objects of two materials) or 5 (heterogeneous ones): truth, both methods."""
+    results = {name: result for name, result in results.items() if name[0] == number}
     table = Table(
         {"model": None, "method": None, "s": 4, "SSIM": 4, "PSNR": 2, "RMSE": 4,
          "position error, mm": 2}
@@ -294,4 +270,4 @@ def _maps(results: Results) -> Exhibit:
     return Exhibit([table.markdown()], table, figure, "Truth, this package and TNC, middle slices")
 
 
-EXHIBITS = {"table1": table1, "fig4": fig4, "fig5": fig5}
+EXHIBITS = {"table1": table1, "fig4": partial(maps, "4"), "fig5": partial(maps, "5")}

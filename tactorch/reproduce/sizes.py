@@ -89,31 +89,28 @@ def fig9(results: Results, options: CaseSettings) -> Exhibit:
          "position error, mm": 2, "estimate": None}
     )  # fmt: skip
     rows: dict[str, list[Panel]] = {method: [] for method in _METHODS}
+    medians: dict[tuple[str, str], str] = {}
     for size, method in product(SIZES, _METHODS):
         if (result := results.get(_name(size, method))) is None:
             continue
         figures = result.figures
         median, correlation = figures["median_mpa"], figures["pearson"]
+        medians[size, method] = f"{median:.3f}"
         estimate = figures["size"] and ", ".join(f"{v:.2f}" for v in figures["size"])
         table.add(size, method, median, correlation, figures["off_mm"], estimate)
         caption = f"r {correlation:.2f}, median {median:.2f} MPa"
         youngs = result.arrays["youngs"]
         rows[method].append(Panel(result.mesh, youngs, _LIMITS, title=size, caption=caption))
-    medians = [
-        f"{method} {_median(results, '80 %', method)} MPa at 80 %,"
-        f" {_median(results, '120 %', method)} MPa at 120 %"
+    told = [
+        f"{method} {medians.get(('80 %', method), '?')} MPa at 80 %,"
+        f" {medians.get(('120 %', method), '?')} MPa at 120 %"
         for method in _METHODS
     ]
     text = (
         "In the paper an object that is assumed too large seems softer, and stiffer if assumed too"
-        f" small. Median moduli here (true: 0.2 MPa): {'; '.join(medians)}."
+        f" small. Median moduli here (true: 0.2 MPa): {'; '.join(told)}."
     )
     return Exhibit([table.markdown(), text], table, panels_figure(rows), "Maps by assumed size")
-
-
-def _median(results: Results, size: str, method: str) -> str:
-    result = results.get(_name(size, method))
-    return "?" if result is None else f"{result.figures['median_mpa']:.3f}"
 
 
 EXHIBITS = {"fig9": fig9}

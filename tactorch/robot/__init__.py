@@ -10,11 +10,11 @@
 """
 
 from tactorch.robot.driver import PressCommand, PressReport, Robot
-from tactorch.robot.places import pressable_patches
 from tactorch.robot.presser import RobotPresser
 from tactorch.robot.session import RobotSession, press_until_known
 from tactorch.robot.simulated import PRESSERS, SimulatedRobot
 from tactorch.robot.stop import StopRule, position_width_mm
+from tactorch.sampling.candidates import pressable_patches
 
 __all__ = [
     "PRESSERS",

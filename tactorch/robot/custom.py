@@ -3,7 +3,7 @@
 import os
 import sys
 from dataclasses import dataclass
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any, ClassVar
 
 from tactorch.config import Options, option
@@ -26,15 +26,14 @@ class CustomRobot(Options):
         Raises:
             ConfigError: the class cannot be imported or made, or has no `press`.
         """
-        module, colon, name = self.path.partition(":")
-        if not (module and colon and name):
+        if not all(self.path.partition(":")):
             raise ConfigError(
                 f"presser.path={self.path}: give MODULE:CLASS, as mylab.robot:MyRobot."
             )
         if os.getcwd() not in sys.path:
             sys.path.append(os.getcwd())
         try:
-            robot = getattr(import_module(module), name)(**self.settings)
+            robot = resolve_name(self.path)(**self.settings)
         except Exception as error:  # whatever code of another package raises
             raise ConfigError(
                 f"presser={self.path} cannot be made ({type(error).__name__}: {error}); check the "

@@ -3,8 +3,7 @@
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,11 +15,11 @@ from tactorch.fem.transfer import Transfer
 from tactorch.inverse.search.draft import Prediction
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press
-from tactorch.robot.contact import axis_distances, held_on, loads, refined_at_rim
+from tactorch.recording.refine import prolong_fixed
+from tactorch.robot.contact import Seen, across, loads, refined_at_rim
 from tactorch.robot.driver import PressCommand, PressReport, Robot
-from tactorch.robot.smoothing import Seen, across
 from tactorch.sampling import Patch
-from tactorch.sampling.candidates import all_directions
+from tactorch.sampling.candidates import all_directions, planned_press
 
 _MIN_NODES = 3  # observed, of a press that is used
 _STEP = 0.1  # of the position in derivatives, over the radius
@@ -56,17 +55,9 @@ class RobotPresser:
 
     def plan(self, patch: Patch) -> Press:
         """Return the press as it would be reported, with displacement 0."""
-        forces = self.pressure_mpa * patch.forces(self.mesh)
-        inside = axis_distances(patch, self.mesh.points) <= patch.radius_mm
-        observed = all_directions(forces.any(axis=1) & inside)
-        return Press(
-            forces=forces,
-            observed=observed,
-            displacement=np.zeros_like(forces),
-            fixed=all_directions(self.held),
-            noise_mm=self.noise_mm,
-            direction=patch.inward,
-        )
+        plan = planned_press(patch, self.mesh, self.held, self.pressure_mpa, self.noise_mm)
+        inside = patch.coordinates(self.mesh.points)[0] <= patch.radius_mm
+        return replace(plan, observed=plan.observed & inside[:, None])
 
     def press(self, patch: Patch) -> Press:
         """Carry the press out.
@@ -115,25 +106,23 @@ class RobotPresser:
             np.asarray(report.center_mm, float), np.asarray(report.inward, float), radius_mm
         )
         seen = Seen.of(patch, np.asarray(report.points_mm, float), self.mesh)
-        smoothing = seen.smoothing
-        if len(smoothing.nodes) < _MIN_NODES:
+        if len(seen.nodes) < _MIN_NODES:
             raise RobotError(
-                f"only {len(smoothing.nodes)} nodes of the mesh are within the "
+                f"only {len(seen.nodes)} nodes of the mesh are within the "
                 f"{len(report.points_mm)} measured points; use a finer mesh, or report points over "
                 "the whole contact area."
             )
         name = _press_name(report)
         self.seen[name] = seen
         observed = np.zeros(self.mesh.n_points, dtype=bool)
-        observed[smoothing.nodes] = True
-        noise = smoothing.noise
+        observed[seen.nodes] = True
         weights = np.ones((self.mesh.n_points, 3))
-        mean = float(np.sqrt(np.mean(noise**2)))
-        weights[smoothing.nodes] = (mean / noise)[:, None]
+        mean = float(np.sqrt(np.mean(seen.noise**2)))
+        weights[seen.nodes] = (mean / seen.noise)[:, None]
         return Press(
             forces=loads(patch, self.mesh, np.asarray(report.force_n, float)),
             observed=all_directions(observed),
-            displacement=smoothing(np.asarray(report.displacements_mm)),
+            displacement=seen.smoothed(np.asarray(report.displacements_mm), self.mesh),
             fixed=all_directions(self.held),
             noise_mm=mean * float(report.noise_mm),
             weights=weights,
@@ -160,29 +149,25 @@ class RobotPresser:
             moved = self._fine(seen.moved(step, self.mesh), force, youngs_mpa)
             per_mm.append((moved - better) / float(np.linalg.norm(step)))
         forces = loads(seen.patch, self.mesh, force)
-        _, present = self._solve(self.mesh, self.held, forces, youngs_mpa)
+        _, present = self._solve(self.mesh, all_directions(self.held), forces, youngs_mpa)
         return Prediction(better, present[: self.mesh.n_points], np.array(per_mm))
 
     def _fine(self, seen: Seen, force_n: np.ndarray, youngs_mpa: float) -> np.ndarray:
         """Return what would be seen at the nodes of a uniform body, by a finer mesh, mm."""
-        fine = refined_at_rim(self.mesh, seen.patch).mesh
-        held = held_on(fine, self.mesh, self.held)  # new nodes of a held face are held as well
-        body, moved = self._solve(fine, held, loads(seen.patch, fine, force_n), youngs_mpa)
-        return seen.smoothing(Transfer.between(body.discretisation, seen.points_mm)(moved))
+        refinement = refined_at_rim(self.mesh, seen.patch)
+        fine, fixed = refinement.mesh, prolong_fixed(all_directions(self.held), refinement)
+        body, moved = self._solve(fine, fixed, loads(seen.patch, fine, force_n), youngs_mpa)
+        at_points = Transfer.between(body.discretisation, seen.points_mm)(moved)
+        return seen.smoothed(at_points, self.mesh)
 
     def _solve(
-        self, mesh: TetMesh, held: np.ndarray, forces: np.ndarray, youngs_mpa: float
+        self, mesh: TetMesh, fixed: np.ndarray, forces: np.ndarray, youngs_mpa: float
     ) -> tuple[SoftBody, np.ndarray]:
-        body = SoftBody(mesh, self._law, element="tet10")
-        supports = Supports(fixed=all_directions(held))
-        youngs = np.full(mesh.n_tets, youngs_mpa)
-        return body, body.equilibrate(youngs, forces, supports).require().displacement
-
-    @cached_property
-    def _law(self) -> Any:
-        return make_material(
-            self.material.name, self.material.poisson, **dict(self.material.parameters)
-        )
+        spec = self.material
+        law = make_material(spec.name, spec.poisson, **spec.parameters)
+        body, youngs = SoftBody(mesh, law, element="tet10"), np.full(mesh.n_tets, youngs_mpa)
+        result = body.equilibrate(youngs, forces, Supports(fixed=fixed)).require()
+        return body, result.displacement
 
     def plain(self) -> dict[str, Any]:
         """Return poses and points as plain values, from which `restore` continues."""

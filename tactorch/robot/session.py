@@ -26,7 +26,7 @@ from tactorch.sampling import (
     Update,
 )
 from tactorch.sampling.candidates import Candidates
-from tactorch.sampling.inclusions import DraftInclusionSearch
+from tactorch.sampling.inclusions import InclusionSearch
 from tactorch.sampling.shape_design import LumpPosition
 
 PRESSES, STATE = "recording.h5", "robot.json"
@@ -137,13 +137,8 @@ class RobotSession(Observer):
         """See `Observer.updated`."""
         self._entry, self._next = update.entry, None
 
-    def found(self, update: Update) -> None:
-        """See `Observer.found`."""
-        self._entry = update.entry
-
     def suggested(self, update: Update) -> None:
         """See `Observer.suggested`."""
-        self._entry = update.entry
         self._next = None if update.suggestion is None else update.suggestion.index
 
     def waiting(self, presses: int, idle_seconds: float) -> None:
@@ -241,6 +236,6 @@ def press_until_known(
         *session.observers,
         options=options or LoopOptions(poll_seconds=0.01),
         suggester=Suggester(settings, suggest, candidates=session.candidates),
-        inclusions=DraftInclusionSearch(settings, session.folder, shapes),
+        inclusions=InclusionSearch(settings, session.folder, shapes),
         end=session.end,
     ).run()

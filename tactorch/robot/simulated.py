@@ -17,9 +17,10 @@ from tactorch.mesh import TetMesh, face_nodes
 from tactorch.mesh.closest import closest_points
 from tactorch.phantoms import Phantom
 from tactorch.phantoms.library import PHANTOMS  # noqa: F401  (the registry of the section)
-from tactorch.robot.contact import loads, refined_at_rim
+from tactorch.robot.contact import across, loads, refined_at_rim
 from tactorch.robot.driver import PressCommand, PressReport
 from tactorch.sampling import Patch
+from tactorch.sampling.candidates import all_directions
 
 #: Drivers by name. Packages add theirs by an entry point of the group `tactorch.presser`.
 PRESSERS = Registry(
@@ -147,11 +148,10 @@ class SimulatedRobot(Options):
         self, patch: Patch, force_n: float, points: Float[np.ndarray, "k 3"]
     ) -> Float[np.ndarray, "k 3"]:
         fine = refined_at_rim(self.mesh, patch)
-        held = np.zeros(fine.mesh.n_points, dtype=bool)
-        held[face_nodes(fine.mesh, self.held_face)] = True
+        held = np.isin(np.arange(fine.mesh.n_points), face_nodes(fine.mesh, self.held_face))
         body = SoftBody(fine.mesh, make_material("neo_hookean", self.poisson), element="tet10")
         forces = loads(patch, fine.mesh, force_n * patch.inward)
-        supports = Supports(fixed=np.repeat(held[:, None], 3, axis=1))
+        supports = Supports(fixed=all_directions(held))
         result = body.equilibrate(self._youngs[fine.parents], forces, supports)
         if not result.converged:
             raise RobotError(f"the object collapses at {_text(patch.center)} mm: {result.reason}")
@@ -180,12 +180,11 @@ class SimulatedRobot(Options):
 
 def _disc(patch: Patch, mesh: TetMesh) -> Float[np.ndarray, "k 3"]:
     """Return points of the surface within a patch, mm, on rings."""
-    plane = np.linalg.svd(patch.inward[None])[2][1:]
     flat = [np.zeros((1, 2))]
     for ring in range(1, _RINGS + 1):
         turns = 2.0 * np.pi * np.arange(6 * ring) / (6 * ring)
         flat.append(ring / _RINGS * np.column_stack([np.cos(turns), np.sin(turns)]))
-    points = patch.center + patch.radius_mm * np.concatenate(flat) @ plane
+    points = patch.center + patch.radius_mm * np.concatenate(flat) @ across(patch.inward)
     closest: np.ndarray = closest_points(mesh.points, mesh.surface.triangles, points).points
     return closest
 

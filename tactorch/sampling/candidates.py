@@ -16,6 +16,7 @@ from tactorch.recording import Press, Recording
 
 NodeMask = Bool[np.ndarray, " n"]
 MIN_FACING = 0.85  # mean cosine between surface and sensor; an edge of a cube has 0.71
+_MIN_COVERED = 0.93  # of the area of a pressable patch, by the surface that faces it
 _MAX_RADIUS_SHARE = 0.25  # inferred radius of the sensor over the object's smallest extent
 # Centroids of 64 equal parts of a triangle: each is counted in or out of a patch.
 _WEIGHTS = np.concatenate([lattice(8, 1 / 3, corners=3), lattice(7, 2 / 3, corners=3)])
@@ -57,6 +58,21 @@ class Patch:
         inside = self._inside(mesh).sum(axis=1) * mesh.surface.areas
         return float(inside @ self._cosines(mesh) / max(inside.sum(), 1e-300))
 
+    def covered(self, mesh: TetMesh, margin_mm: float = 0.0) -> float:
+        """Return the share of the sensor's area, wider by a margin, that the surface covers."""
+        wide = replace(self, radius_mm=self.radius_mm + margin_mm)
+        areas = wide._inside(mesh).mean(axis=1) * mesh.surface.areas
+        return float(areas @ wide._cosines(mesh) / (np.pi * wide.radius_mm**2))
+
+    def coordinates(
+        self, points: Float[np.ndarray, "*k 3"]
+    ) -> tuple[Float[np.ndarray, "*k"], Float[np.ndarray, "*k"]]:
+        """Return the distances of points from the axis along `inward`, and those along it, mm."""
+        offsets = points - self.center
+        along = offsets @ self.inward
+        across = np.linalg.norm(offsets - along[..., None] * self.inward, axis=-1)
+        return np.asarray(across), along
+
     def _cosines(self, mesh: TetMesh) -> Float[np.ndarray, " k"]:
         """Cosine between each triangle's normal and the direction to the sensor."""
         return -(mesh.surface.normals @ self.inward)
@@ -71,9 +87,7 @@ class Patch:
         distances = np.linalg.norm(centroids - self.center, axis=1)
         near = distances <= np.hypot(self.radius_mm, max_depth) + sizes
         near &= self._cosines(mesh) > 0
-        offsets = np.einsum("qc,kcd->kqd", _WEIGHTS, corners[near]) - self.center
-        along = offsets @ self.inward
-        across = np.linalg.norm(offsets - along[..., None] * self.inward, axis=2)
+        across, along = self.coordinates(np.einsum("qc,kcd->kqd", _WEIGHTS, corners[near]))
         inside = np.zeros((len(corners), len(_WEIGHTS)), dtype=bool)
         inside[near] = (across <= self.radius_mm) & (np.abs(along) <= max_depth)
         return inside
@@ -118,6 +132,32 @@ def candidate_patches(
     centers = np.array([patch.center for patch in fitting])
     gaps = np.linalg.norm(centers[:, None] - mesh.points[held], axis=2).min(axis=1)
     return [fitting[i] for i in farthest_point_order(centers, count, int(gaps.argmax()))]
+
+
+def pressable_patches(
+    patches: Sequence[Patch], mesh: TetMesh, count: int, *, margin_mm: float = 0.0
+) -> list[Patch]:
+    """Return patches that lie on the surface as a whole, in farthest-point order.
+
+    The first is the one nearest to the middle of them.
+
+    Args:
+        patches: Patches, such as those of `candidate_patches`.
+        mesh: The object, mm.
+        count: Largest number of patches.
+        margin_mm: Distance by which the pose may be wrong, mm.
+    """
+    whole = [patch for patch in patches if patch.covered(mesh, margin_mm) >= _MIN_COVERED]
+    if not whole:
+        raise ConfigError(
+            f"no candidate of radius {patches[0].radius_mm:g} mm is on the surface as a whole with "
+            f"a margin of {margin_mm:g} mm; use a smaller radius."
+            if patches
+            else "there is no candidate."
+        )
+    centers = np.array([patch.center for patch in whole])
+    first = int(np.linalg.norm(centers - centers.mean(axis=0), axis=1).argmin())
+    return [whole[i] for i in farthest_point_order(centers, min(count, len(whole)), first)]
 
 
 def _vertex_normals(mesh: TetMesh) -> Float[np.ndarray, "n 3"]:
@@ -172,6 +212,21 @@ class InferredCandidates:
 def all_directions(nodes: NodeMask) -> Bool[np.ndarray, "n 3"]:
     """Return the mask of all three degrees of freedom of some nodes."""
     return np.repeat(nodes[:, None], 3, axis=1)
+
+
+def planned_press(
+    patch: Patch, mesh: TetMesh, held: NodeMask, pressure_mpa: float, noise_mm: float
+) -> Press:
+    """Return a press as it would be reported, with displacement 0; loaded nodes are observed."""
+    forces = pressure_mpa * patch.forces(mesh)
+    return Press(
+        forces=forces,
+        observed=all_directions(np.any(forces != 0.0, axis=1)),
+        displacement=np.zeros_like(forces),
+        fixed=all_directions(held),
+        noise_mm=noise_mm,
+        direction=patch.inward,
+    )
 
 
 def sensor_radius_mm(mesh: TetMesh, presses: Sequence[Press]) -> float:

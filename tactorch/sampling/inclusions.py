@@ -26,9 +26,13 @@ class InclusionSearch:
     Args:
         settings: Settings of the inversions.
         folder: Folder of the run; None keeps no file.
+        draft: Fast search for balls instead of that of `invert`.
     """
 
-    def __init__(self, settings: Settings, folder: str | Path | None) -> None:
+    def __init__(
+        self, settings: Settings, folder: str | Path | None, draft: DraftShapes | None = None
+    ) -> None:
+        self._draft = draft
         self._settings, self._kept = replace(settings, method="inclusions"), KeptRims()
         self._path = None if folder is None else Path(folder) / SHAPES
         self._last: tuple[Reconstruction, int] | None = None  # of inclusions, and how many presses
@@ -72,6 +76,8 @@ class InclusionSearch:
         return replace(result, other=elements)
 
     def _find(self, recording: Recording, stop: Callable[[], bool]) -> Reconstruction:
+        if self._draft is not None:
+            return self._result(recording, self._draft.fit(recording, self.shapes, stop))
         search: dict[str, Any] = {"start": self._reached or self.shapes, "kept": self._kept}
         return invert(recording, self._settings, stop=stop, **search)
 
@@ -103,20 +109,3 @@ class InclusionSearch:
     def shapes(self) -> ShapeReconstruction | None:
         """Inclusions that were fitted last; None if there are none."""
         return None if self._last is None else self._last[0].shapes
-
-
-class DraftInclusionSearch(InclusionSearch):
-    """The same by the fast search for balls, `tactorch.inverse.search.draft`.
-
-    Args:
-        settings: Settings of the inversions.
-        folder: Folder of the run; None keeps no file.
-        draft: The search.
-    """
-
-    def __init__(self, settings: Settings, folder: str | Path | None, draft: DraftShapes) -> None:
-        super().__init__(settings, folder)
-        self._draft = draft
-
-    def _find(self, recording: Recording, stop: Callable[[], bool]) -> Reconstruction:
-        return self._result(recording, self._draft.fit(recording, self.shapes, stop))

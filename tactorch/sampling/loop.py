@@ -381,8 +381,7 @@ class SamplingLoop:
         except CancelledError:
             return
         self._update = update.found(result)
-        self._save()
-        self._save_result(result)
+        self._save(result)
         for observer in self._observers:
             observer.found(self._update)
         has_shapes = result.shapes is not None and bool(result.shapes.inclusions)
@@ -427,19 +426,18 @@ class SamplingLoop:
         }
         self._history.append(entry)
         self._update = Update(recording, solution, shown, presses, entry)
-        self._save()
-        self._save_result(shown)
+        self._save(shown)
         for observer in self._observers:
             observer.updated(self._update)
 
-    def _save_result(self, result: Reconstruction) -> None:
-        if self._store is not None:
+    def _save(self, result: Reconstruction | None = None) -> None:
+        """Save the state, and a result that has changed."""
+        if self._store is None or self._inversion is None:
+            return
+        state = {**self._inversion.state(), "object": np.array(self._object_digest())}
+        self._store.save(state, self._done, self._history)
+        if result is not None:
             result.save(self._store.folder / RESULT)
-
-    def _save(self) -> None:
-        if self._store is not None and self._inversion is not None:
-            state = {**self._inversion.state(), "object": np.array(self._object_digest())}
-            self._store.save(state, self._done, self._history)
 
     def _object_digest(self) -> str:
         about = self._source.about

@@ -17,7 +17,7 @@ from tactorch.inverse.fit.starts import START_MPA
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.recording.append import digest
-from tactorch.sampling.candidates import Candidates, Patch, all_directions
+from tactorch.sampling.candidates import Candidates, Patch, all_directions, planned_press
 from tactorch.sampling.loop import LoopOptions, Observer, SamplingLoop, Update
 from tactorch.sampling.rules import Rule
 from tactorch.sampling.sources import Arrival, PressSource
@@ -66,15 +66,7 @@ class SimulatedPresser:
 
     def plan(self, patch: Patch) -> Press:
         """Return the press as it would be reported, with displacement 0."""
-        forces = self.pressure_mpa * patch.forces(self.mesh)
-        return Press(
-            forces=forces,
-            observed=all_directions(np.any(forces != 0.0, axis=1)),
-            displacement=np.zeros_like(forces),
-            fixed=all_directions(self.mesh_held),
-            noise_mm=self.noise_mm,
-            direction=patch.inward,
-        )
+        return planned_press(patch, self.mesh, self.mesh_held, self.pressure_mpa, self.noise_mm)
 
     def press(self, patch: Patch) -> Press:
         """Press, and observe the nodes in contact."""
@@ -150,7 +142,7 @@ def sample(
             "first, and sample with Settings(nuisance=NuisancePrior())."
         )
     first = rule.first(candidates)
-    session = _Session(presser, mesh, material, candidates, budget, on_press, [first])
+    session = _Session(presser, mesh, material, candidates, budget, on_press, first)
     # The posterior is the variational one under total variation: Laplace's is too narrow where no
     # press has been.
     suggester = Suggester(
@@ -180,11 +172,10 @@ class _Session(PressSource, Observer):
     candidates: Sequence[Patch]
     budget: int
     on_press: Callable[[Step], None] | None
-    places: list[int]  # those pressed, and the next one
-    pressed: int = 0
+    next_place: int | None
+    places: list[int] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
     started: float = field(default_factory=time.perf_counter)
-    updated_at: float = 0.0
     name = "the presser"
 
     def available(self, recording: Recording) -> Candidates:
@@ -193,16 +184,14 @@ class _Session(PressSource, Observer):
         return Candidates(self.candidates, tuple(self.places), self.presser.plan)
 
     def poll(self) -> list[Arrival]:
-        if self.pressed == len(self.places):
+        if self.next_place is None:
             return []
-        press = self.presser.press(self.candidates[self.places[-1]])
-        self.pressed += 1
+        press = self.presser.press(self.candidates[self.next_place])
+        self.places.append(self.next_place)
+        self.next_place = None
         # A single press may be too small for the check of units.
         self.about = Recording(self.mesh, (press,), self.material, check_units=False)
-        return [Arrival(press, f"press {self.pressed}", digest(press))]
-
-    def updated(self, update: Update) -> None:
-        self.updated_at = time.perf_counter()
+        return [Arrival(press, f"press {len(self.places)}", digest(press))]
 
     def suggested(self, update: Update) -> None:
         suggestion, rms = update.suggestion, update.rms_deviation
@@ -210,10 +199,10 @@ class _Session(PressSource, Observer):
         ended = len(self.places) == self.budget
         if suggestion.deviation is None or rms is None or (suggestion.index is None and not ended):
             raise ConfigError(suggestion.reason)
-        press, seconds = update.recording.presses[-1], self.updated_at - self.started
+        press = update.recording.presses[-1]
+        seconds = time.perf_counter() - suggestion.seconds - self.started
         step = Step(self.places[-1], press, update.youngs, suggestion.deviation, rms, seconds)
         self.steps.append(step)
-        if suggestion.index is not None:
-            self.places.append(suggestion.index)
+        self.next_place = suggestion.index
         if self.on_press is not None:
             self.on_press(step)

@@ -7,9 +7,11 @@ elsewhere, of a few sizes and a given contrast, remains unknown where its signal
 counts with the probability that a matched filter misses it.
 """
 
-from collections.abc import Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -22,6 +24,9 @@ from tactorch.inverse.search.matched import Balls
 from tactorch.mesh import TetMesh
 from tactorch.mesh.quadrature import lattice
 from tactorch.sampling.rules import Jacobian, Rule, SamplingState
+
+Predicted: TypeAlias = Sequence[Float[np.ndarray, "_ m"] | None]
+Errors: TypeAlias = Float[np.ndarray, " candidates"]
 
 _SAMPLES = 3  # along the edge of an element
 _WIDTH = 0.5  # of a boundary, over the cube root of the element's volume, for derivatives
@@ -45,91 +50,64 @@ class ShapeDesign:
     mesh: TetMesh
     before: Float[np.ndarray, "data m"]
 
-    def expected_errors(
-        self, candidates: Sequence[Float[np.ndarray, "_ m"] | None]
-    ) -> Float[np.ndarray, " candidates"]:
+    def expected_errors(self, candidates: Predicted) -> Errors:
         """Return the mean squared error of log E over the body that is expected after each press.
 
         Args:
             candidates: Derivatives of the data of each press, as in `before`; None where it cannot
                 be carried out, whose error is infinite.
         """
-        now = self._gram(self.before)
-        return np.array(
-            [
-                np.inf if jacobian is None else self._expected_error(now + self._gram(jacobian))
-                for jacobian in candidates
-            ]
-        )  # fmt: skip
+        return self._each(candidates, self._expected_error)
 
-    def expected_center_deviations(
-        self, candidates: Sequence[Float[np.ndarray, "_ m"] | None]
-    ) -> Float[np.ndarray, " candidates"]:
+    def expected_center_deviations(self, candidates: Predicted) -> Errors:
         """Return the deviation of the first inclusion's centre that is expected after each press.
 
-        It is that along the axis where it is largest, mm.
-
-        Args:
-            candidates: See `expected_errors`.
+        It is that along the axis where it is largest, mm. See `expected_errors`.
         """
-        now = self._gram(self.before).shapes
-        center = self._field.index(self.shapes.order[0], *CENTER)
-        sizes = self._field.deviation[center]
-        found = np.full(len(candidates), np.inf)
-        for k, jacobian in enumerate(candidates):
-            if jacobian is not None:
-                precision = now + self._gram(jacobian).shapes + np.eye(self._field.size)
-                variances = np.linalg.inv(precision).diagonal()[center]
-                found[k] = float((sizes * np.sqrt(variances)).max())
-        return found
+        return self._each(candidates, self._center_deviation)
 
-    def expected_missed_errors(
-        self, candidates: Sequence[Float[np.ndarray, "_ m"] | None]
-    ) -> Float[np.ndarray, " candidates"]:
+    def expected_missed_errors(self, candidates: Predicted) -> Errors:
         """Return the expected error by lumps that no press has shown, after each press.
 
-        Args:
-            candidates: See `expected_errors`.
+        See `expected_errors`.
         """
-        now, unit = self._gram(self.before), np.eye(self._field.size)
-        found = np.full(len(candidates), np.inf)
-        for k, jacobian in enumerate(candidates):
-            if jacobian is not None:
-                gram = now + self._gram(jacobian)
-                found[k] = self._missed_error(gram, gram.shapes + unit)
-        return found
+        return self._each(candidates, self._missed_error)
+
+    def _each(self, candidates: Predicted, score: Callable[["_Gram"], float]) -> Errors:
+        now = self._gram(self.before)
+        return np.array([np.inf if j is None else score(now + self._gram(j)) for j in candidates])
 
     def _gram(self, jacobian: Jacobian) -> "_Gram":
         """Return the products for data whose noise is as large as the residuals of the shapes."""
         return _Gram.of(jacobian / np.sqrt(max(1.0, self.shapes.chi2)), self._columns)
 
     def _expected_error(self, gram: "_Gram") -> float:
-        precision = gram.shapes + np.eye(self._field.size)
-        known = float(np.trace(np.linalg.solve(precision, self._map_products)))
-        return known + self._missed_error(gram, precision)
+        known = float(np.trace(np.linalg.solve(gram.precision, self._map_products)))
+        return known + self._missed_error(gram)
 
-    def _missed_error(self, gram: "_Gram", precision: Float[np.ndarray, "size size"]) -> float:
+    def _center_deviation(self, gram: "_Gram") -> float:
+        center = self._field.index(self.shapes.order[0], *CENTER)
+        variances = np.linalg.inv(gram.precision).diagonal()[center]
+        return float((self._field.deviation[center] * np.sqrt(variances)).max())
+
+    def _missed_error(self, gram: "_Gram") -> float:
         """Return the expected error by lumps that are not seen."""
-        known = np.einsum("sb,sb->b", gram.mixed, np.linalg.solve(precision, gram.mixed))
+        known = np.einsum("sb,sb->b", gram.mixed, np.linalg.solve(gram.precision, gram.mixed))
         signal = _LOG_CONTRAST * np.sqrt(np.maximum(gram.balls - known, 0.0))
         missed = ndtr(_SEEN - signal)
-        squares = self._ball_shares * _LOG_CONTRAST**2
-        return float(_EXPECTED_LUMPS * np.mean(missed * squares))
+        shares = 4.0 / 3.0 * np.pi * self._balls.radii**3 / self.mesh.volumes.sum()
+        return float(_EXPECTED_LUMPS * np.mean(missed * (shares * _LOG_CONTRAST**2)))
 
     @property
     def _field(self) -> ShapeField:
         return self.shapes.posterior.field
-
-    @property
-    def _z(self) -> Float[np.ndarray, " size"]:
-        return self.shapes.posterior.z
 
     @cached_property
     def _columns(self) -> tuple[Float[np.ndarray, "m size"], Float[np.ndarray, "m balls"]]:
         """Derivatives of elements' log-moduli by the shapes' parameters, and lumps elsewhere."""
         points = np.einsum("qc,mcd->mqd", lattice(_SAMPLES), self.mesh.points[self.mesh.tets])
         elements = Sites(points, _WIDTH * np.cbrt(self.mesh.volumes), (self.mesh.n_tets, 1))
-        return self._field.jacobian(self._z, elements), self._balls.fractions
+        return self._field.jacobian(self.shapes.posterior.z, elements), self._balls.fractions
 
     @cached_property
     def _map_products(self) -> Float[np.ndarray, "size size"]:
@@ -140,11 +118,6 @@ class ShapeDesign:
     @cached_property
     def _balls(self) -> Balls:
         return Balls.of(self.mesh)
-
-    @cached_property
-    def _ball_shares(self) -> Float[np.ndarray, " balls"]:
-        """Volume of each ball over that of the body."""
-        return 4.0 / 3.0 * np.pi * self._balls.radii**3 / self.mesh.volumes.sum()
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,60 +133,60 @@ class _Gram:
         shapes, balls = (jacobian @ each for each in columns)
         return _Gram(shapes.T @ shapes, shapes.T @ balls, np.einsum("db,db->b", balls, balls))
 
+    @property
+    def precision(self) -> Float[np.ndarray, "size size"]:
+        """Precision of the parameters, whose prior deviation is one."""
+        return self.shapes + np.eye(len(self.shapes))
+
     def __add__(self, other: "_Gram") -> "_Gram":
         return _Gram(self.shapes + other.shapes, self.mixed + other.mixed, self.balls + other.balls)
 
 
+class ShapeRule(Rule):
+    """Rule that takes the press after which an error of the shapes is expected to be smallest."""
+
+    uses_shapes = True
+
+    def choose(self, state: SamplingState) -> int:
+        """See `Rule.choose`.
+
+        Raises:
+            ConfigError: no shapes were fitted to the presses.
+        """
+        shapes, known, per_log = state.shapes, state.known, state.per_log
+        if shapes is None or known is None or per_log is None:
+            raise ConfigError(
+                "this rule needs shapes that are fitted to the presses, and there are none yet; "
+                "wait for them (method=inclusions), or choose suggest.rule=auto."
+            )
+        design = ShapeDesign(shapes, state.mesh, known * per_log)
+        predicted = [None if j is None else j * per_log for j in state.jacobians(state.remaining)]
+        return state.remaining[int(np.argmin(self.expected(design, predicted)))]
+
+    @abstractmethod
+    def expected(self, design: ShapeDesign, candidates: Predicted) -> Errors:
+        """Return the error after each press."""
+
+
 @dataclass(frozen=True)
-class ExpectedShapeError(Rule):
+class ExpectedShapeError(ShapeRule):
     """Smallest expected error of the map of shapes, and of lumps that no press has shown yet.
 
     The error is the mean squared one of log E over the body, see `ShapeDesign`.
     """
 
-    uses_shapes = True
-
-    def choose(self, state: SamplingState) -> int:
-        """See `Rule.choose`.
-
-        Raises:
-            ConfigError: no shapes were fitted to the presses.
-        """
-        design, remaining, predicted = _design(state)
-        return remaining[int(np.argmin(design.expected_errors(predicted)))]
+    def expected(self, design: ShapeDesign, candidates: Predicted) -> Errors:
+        return design.expected_errors(candidates)
 
 
 @dataclass(frozen=True)
-class LumpPosition(Rule):
+class LumpPosition(ShapeRule):
     """Most certain position of the lump; before one is found, least chance of missing one.
 
     The position is that of the most probable inclusion, along the axis where it is least certain.
     """
 
-    uses_shapes = True
-
-    def choose(self, state: SamplingState) -> int:
-        """See `Rule.choose`.
-
-        Raises:
-            ConfigError: no shapes were fitted to the presses.
-        """
-        design, remaining, predicted = _design(state)
+    def expected(self, design: ShapeDesign, candidates: Predicted) -> Errors:
         if design.shapes.inclusions:
-            expected = design.expected_center_deviations(predicted)
-        else:
-            expected = design.expected_missed_errors(predicted)
-        return remaining[int(np.argmin(expected))]
-
-
-def _design(state: SamplingState) -> tuple[ShapeDesign, list[int], list[Jacobian | None]]:
-    """Return the design, the candidates that remain, and their derivatives by log-moduli."""
-    shapes, known, per_log = state.shapes, state.known, state.per_log
-    if shapes is None or known is None or per_log is None:
-        raise ConfigError(
-            "this rule needs shapes that are fitted to the presses, and there are none yet; wait "
-            "for them (method=inclusions), or choose suggest.rule=auto."
-        )
-    remaining = state.remaining
-    predicted = [None if j is None else j * per_log for j in state.jacobians(remaining)]
-    return ShapeDesign(shapes, state.mesh, known * per_log), remaining, predicted
+            return design.expected_center_deviations(candidates)
+        return design.expected_missed_errors(candidates)

@@ -159,16 +159,12 @@ class _File:
 
 
 def replay(
-    recording: Recording,
-    target: str | Path,
-    pause_seconds: float,
-    stop: Event | None = None,
-    on_press: Callable[[int], None] = lambda number: None,
+    recording: Recording, target: str | Path, pause_seconds: float, stop: Event | None = None
 ) -> int:
     """Write a recording's presses into a growing one, with pauses (s) before each but the first.
 
-    Presses that the target holds already are not written again. Setting `stop` ends the replay;
-    `on_press` is called with the number of presses after each, and the last number is returned.
+    Presses that the target holds already are not written again. Setting `stop` ends the replay.
+    The number of presses in the target is returned.
     """
     if not pause_seconds >= 0:
         raise ConfigError(f"pause_seconds={pause_seconds}: give a time of at least 0 s.")
@@ -181,7 +177,6 @@ def replay(
             replace(recording, presses=recording.presses[:1], check_units=False).save(target)
         else:
             append_press(target, recording.presses[index])
-        on_press(index + 1)
     compact(target)
     return len(recording.presses)
 

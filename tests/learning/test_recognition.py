@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from tactorch.errors import FileError, MeshError
-from tactorch.learning.recognition import load_recognizer, recognise
-from tactorch.learning.recognizer import Recognizer
+from tactorch.learning.recognizer import Recognizer, load_recognizer, recognise
 from tactorch.mesh import box_mesh
 
 MESH = box_mesh(10.0, 4)

@@ -11,7 +11,7 @@ from robot_fakes import FakeRobot, quadratic
 
 from tactorch.errors import ForceLimitError, PoseRefusedError, RobotError, RobotTimeoutError
 from tactorch.robot import RobotPresser
-from tactorch.robot.smoothing import across
+from tactorch.robot.contact import across
 from tactorch.sampling import Patch, Presser
 
 Make = Callable[..., RobotPresser]
@@ -156,7 +156,7 @@ def test_nodes_at_the_edge_of_the_points_have_more_noise(
     seen = np.flatnonzero(press.observed.all(axis=1))
     deviations = press.noise_mm / press.weights[seen, 0]
     # By the weights of the points, whose noise is independent.
-    rows = presser.seen[press.name].smoothing.rows
+    rows = presser.seen[press.name].rows
     np.testing.assert_allclose(deviations, 0.002 * np.linalg.norm(rows, axis=1))
     radii = np.linalg.norm(presser.mesh.points[seen] - patches[2].center, axis=1)
     assert deviations[radii.argmax()] > 1.05 * deviations[radii.argmin()]

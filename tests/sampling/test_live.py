@@ -293,7 +293,8 @@ def test_control_c_ends_a_run_with_what_it_has(live: Any, monkeypatch: pytest.Mo
 
 def test_a_replay_goes_on_where_it_was_and_can_be_stopped(live: Any) -> None:
     stop = threading.Event()
-    assert replay(live.whole, live.path, 60.0, stop, on_press=lambda number: stop.set()) == 1
+    stop.set()
+    assert replay(live.whole, live.path, 60.0, stop) == 1
     assert len(Recording.load(live.path).presses) == 1
     append_press(live.path, live.whole.presses[1])
     assert replay(live.whole, live.path, 0.0) == 4

@@ -4,6 +4,7 @@ import json
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float16
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from tactorch.config import option
 from tactorch.errors import ConfigError, ConvergenceError, FileError
@@ -31,7 +33,7 @@ from tactorch.learning.surrogate.features import (
     compute_features,
     compute_targets,
 )
-from tactorch.processes import single_thread
+from tactorch.processes import run_in_processes, single_thread
 
 _log = logging.getLogger(__name__)
 FOLDER = "touch"  # of cached features, in existing datasets
@@ -42,13 +44,10 @@ Row = tuple[Tensor, Tensor, Tensor, Tensor]
 
 def collate(rows: Sequence[Row]) -> list[Tensor]:
     """Return presses (padded with zeros), their mask, fields of the objects, targets and masks."""
-    counts = torch.tensor([len(presses) for presses, *_ in rows])
-    largest = int(counts.max())
-    padded = rows[0][0].new_zeros((len(rows), largest, *rows[0][0].shape[1:]))
-    for out, (presses, *_) in zip(padded, rows, strict=True):
-        out[: len(presses)] = presses
-    mask = torch.arange(largest)[None] < counts[:, None]
-    return [padded, mask, *(torch.stack(parts) for parts in list(zip(*rows, strict=True))[1:])]
+    presses, *others = zip(*rows, strict=True)
+    masks = [torch.ones(len(one), dtype=torch.bool) for one in presses]
+    padded, mask = (pad_sequence([*parts], batch_first=True) for parts in (presses, masks))
+    return [padded, mask, *map(torch.stack, others)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,16 +180,12 @@ def load_features(
 def _compute_part(
     samples: SampleSet, indices: Sequence[int], count: int, frames: int, workers: int | None
 ) -> list[SampleFeatures]:
-    from joblib import Parallel, delayed, parallel_config
-
-    with parallel_config(backend="loky", inner_max_num_threads=1):
-        rows = Parallel(n_jobs=workers or -1)(
-            delayed(_compute_row)(samples, index, count, frames) for index in indices
-        )
-    return [row for row in rows if row]
+    compute = partial(_compute_row, samples, count, frames)
+    rows = run_in_processes(compute, indices, workers)
+    return sorted((row for row in rows if row), key=lambda row: row.index)
 
 
-def _compute_row(samples: SampleSet, index: int, count: int, frames: int) -> SampleFeatures | None:
+def _compute_row(samples: SampleSet, count: int, frames: int, index: int) -> SampleFeatures | None:
     """Return the features of one sample; None without an equilibrium at any uniform modulus."""
     sample = samples[index]
     with single_thread():

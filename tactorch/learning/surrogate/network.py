@@ -41,12 +41,7 @@ class PressUNet(nn.Module):
     """
 
     def __init__(
-        self,
-        press_channels: int,
-        shared_channels: int,
-        out_channels: int,
-        width: int = 48,
-        encoded: int = 24,
+        self, press_channels: int, shared_channels: int, out_channels: int, width: int, encoded: int
     ) -> None:
         super().__init__()
         fine = width // 2
