@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tactorch.config import to_mapping
-from tactorch.errors import CancelledError, ConfigError, TactorchError
+from tactorch.errors import UNCOMPUTABLE, CancelledError, ConfigError
 from tactorch.fem import SoftBody
 from tactorch.inverse.data.misfit import MISFITS, Adaptive, Squares
 from tactorch.inverse.data.observations import NoiseModel
@@ -37,6 +37,8 @@ from tactorch.inverse.forward.palpation import (
     is_palpation,
 )
 from tactorch.inverse.forward.problem import InverseProblem, make_body
+from tactorch.inverse.posterior.gaussian import GaussianPosterior
+from tactorch.inverse.posterior.select import posterior_at
 from tactorch.inverse.result.build import config_of, of_elements, of_inclusions
 from tactorch.inverse.result.reconstruction import Reconstruction
 from tactorch.inverse.search.criticism import wrong_forces
@@ -115,7 +117,7 @@ def invert(
         found = _find(recording, settings, search)
     except CancelledError:
         raise
-    except (TactorchError, MemoryError, RuntimeError) as error:
+    except UNCOMPUTABLE as error:
         if settings.method == "inclusions":
             raise
         reason = str(error).rstrip(".") or "not enough memory"
@@ -147,8 +149,8 @@ def _criticised(result: Reconstruction, recording: Recording, settings: Settings
         return result
     try:
         point = solution(recording, result, settings)
-        level = wrong_forces(point, result.history[-1].get("weight", 0.0))
-    except (TactorchError, MemoryError, RuntimeError) as error:
+        level = wrong_forces(point, result.weight)
+    except UNCOMPUTABLE as error:
         _log.info("whether the forces are wrong is not known: %s", error)
         return result
     if level is None:
@@ -190,9 +192,9 @@ def _held_out_score(
     """Return the score of an element map; None where it cannot be computed."""
     try:
         point = solution(recording, elements, settings)
-        prior = point.prior_curvature(elements.history[-1].get("weight", 0.0))
+        prior = point.prior_curvature(elements.weight)
         factor = DenseCholesky.of(point.jacobian.T @ point.jacobian, prior)
-    except (TactorchError, MemoryError, RuntimeError) as error:
+    except UNCOMPUTABLE as error:
         _log.info("held-out presses cannot be predicted by the element map: %s", error)
         return None
     if factor is None:
@@ -405,6 +407,27 @@ def solution(recording: Recording, result: Reconstruction, settings: Settings) -
     values = {name: estimate.value for name, estimate in result.nuisance.items()}
     x[m:] = nuisance.z(values, objective.problem.assumed)
     return objective.at(x)
+
+
+def compute_posterior(
+    recording: Recording, reconstruction: Reconstruction, settings: Settings | None = None
+) -> GaussianPosterior:
+    """Return the posterior of an element map.
+
+    It is `variational_posterior` under total variation up to 2,000 parameters, otherwise
+    `LaplacePosterior` up to 12,000, and `LowRankPosterior` beyond.
+
+    Args:
+        recording: Presses that were inverted.
+        reconstruction: Result of `invert`.
+        settings: Settings of the inversion.
+
+    Raises:
+        ConfigError: settings and result do not match, or data and prior leave moduli undetermined.
+        ConvergenceError: a press has no stable equilibrium at the map.
+    """
+    point = solution(recording, reconstruction, settings or Settings())
+    return posterior_at(point, reconstruction.weight)
 
 
 def _describe_model_error(recording: Recording, settings: Settings) -> str:

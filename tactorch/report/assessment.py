@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from tactorch.errors import UNCOMPUTABLE
 from tactorch.inverse import Point, settings_from
 from tactorch.inverse.data.observations import Observation
 from tactorch.inverse.forward.predictions import observed_data
 from tactorch.inverse.invert import solution
+from tactorch.inverse.posterior import credibility, posterior_at
 from tactorch.inverse.result import LEVEL
 from tactorch.recording import Recording
 from tactorch.report.content import PressFit, RunReport, UncertaintySummary
 from tactorch.report.runs import Run
-from tactorch.uncertainty import credibility
-from tactorch.uncertainty.select import UNCOMPUTABLE, posterior_at
 
 #: Called before each step with its name, the number of finished steps and their total.
 ProgressCallback = Callable[[str, int, int], None]
@@ -79,7 +79,7 @@ def _of_elements(
     run: Run, recording: Recording, point: Point, on_posterior: Callable[[], None]
 ) -> RunReport:
     """Return the report of an element map with its posterior."""
-    posterior = posterior_at(point, run.result.history[-1].get("weight", 0.0))
+    posterior = posterior_at(point, run.result.weight)
     on_posterior()
     low, high = posterior.interval(LEVEL)
     bounds, youngs = posterior.parameterization.bounds, point.youngs

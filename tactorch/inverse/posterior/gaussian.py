@@ -1,4 +1,4 @@
-"""The normal posterior of an element map, whose approximations are in `tactorch.uncertainty`."""
+"""The normal posterior of an element map."""
 
 from abc import ABC, abstractmethod
 

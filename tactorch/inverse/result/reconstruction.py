@@ -133,6 +133,11 @@ class Reconstruction(Displayed):
         return float(self.history[-1]["chi2"]) if self.history else float("nan")
 
     @property
+    def weight(self) -> float:
+        """Weight of the prior at the end of the iteration of an element map."""
+        return float(self.history[-1].get("weight", 0.0)) if self.history else 0.0
+
+    @property
     def misfit_mm2(self) -> float:
         """Half the sum of squared displacement differences (eq. 7), mm^2."""
         return float(self.history[-1].get("misfit", np.nan)) if self.history else float("nan")
@@ -195,7 +200,7 @@ class Reconstruction(Displayed):
 
         Args:
             recording: The presses.
-            posterior: Posterior of the map, of `tactorch.uncertainty.compute_posterior`.
+            posterior: Posterior of the map, of `tactorch.inverse.compute_posterior`.
         """
         lumps = tuple(
             build_lump(self.mesh, recording.presses, lump.inclusion, posterior)

@@ -13,8 +13,8 @@ from tactorch.inverse import (
     Objective,
 )
 from tactorch.inverse.fields import ElementField
-from tactorch.uncertainty import LaplacePosterior, calibration_error, coverage
-from tactorch.uncertainty.laplace import check_weight
+from tactorch.inverse.posterior import LaplacePosterior, calibration_error, coverage
+from tactorch.inverse.posterior.laplace import check_weight
 
 M = 12
 LOG = Log()

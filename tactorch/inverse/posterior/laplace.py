@@ -15,11 +15,10 @@ import torch
 from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import Parameterization, Point
-from tactorch.inverse.posterior.gaussian import GaussianPosterior
+from tactorch.inverse.fields.parameterization import Parameterization
+from tactorch.inverse.fit.objective import Point
+from tactorch.inverse.posterior.gaussian import Field, GaussianPosterior
 from tactorch.linalg import DenseCholesky
-
-Field = Float[np.ndarray, " m"]  # a value per element
 
 
 @dataclass(frozen=True, eq=False)

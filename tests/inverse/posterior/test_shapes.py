@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import genpareto
 
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.inverse import InverseProblem, Settings
+from tactorch.inverse import InverseProblem, Settings, ShapeSamples, sample_shapes
 from tactorch.inverse.fields import BALL, ELLIPSOID, ShapeField, ShapePrior
 from tactorch.inverse.fit.shapes import ShapesOnSites, fit_shapes
 from tactorch.inverse.posterior.ridges import basis_across
@@ -18,11 +18,10 @@ from tactorch.inverse.search.correction import Correction
 from tactorch.inverse.search.final_posterior import final_posterior
 from tactorch.inverse.search.model import MIN_GAIN, Model, Start, gain, make_posterior
 from tactorch.inverse.search.problem import ShapeProblem
+from tactorch.inverse.shape_samples import _ExactPosterior, sample_posterior
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.simulation import PressPlan, simulate
-from tactorch.uncertainty import ShapeSamples, sample_shapes
-from tactorch.uncertainty.shapes import _ExactPosterior, sample_posterior
 
 MESH = box_mesh(10.0, 3, tets_per_cell=5)
 PRIOR = ShapePrior.of(MESH, 0.2)

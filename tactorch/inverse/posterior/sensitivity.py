@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError, TactorchError
-from tactorch.inverse import Evaluation
+from tactorch.inverse.forward.problem import Evaluation
 from tactorch.inverse.posterior.gaussian import Field
 from tactorch.mesh import TetMesh
 from tactorch.mesh.quadrature import lattice

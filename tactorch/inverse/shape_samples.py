@@ -8,7 +8,7 @@ inclusions. With ridges J is Jeffreys' prior, the root of the determinant of the
 precision at z. Without any it is the determinant of the derivative of the coordinates of
 `ShapePosterior`, in which the prior is flat, and the approximation normal. The approximation is the
 first proposal of importance sampling, with an equilibrium of each press for each draw; see
-`tactorch.uncertainty.importance`.
+`tactorch.inverse.posterior.importance`.
 """
 
 import logging
@@ -25,14 +25,7 @@ from tactorch.inverse.fields import ShapeField
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.shapes import ShapesOnSites, fit_shapes
 from tactorch.inverse.forward.problem import Evaluation, InverseProblem
-from tactorch.inverse.posterior.shapes import Normal, ShapePosterior
-from tactorch.inverse.result.shapes import InclusionValues, Interval, ShapeReconstruction
-from tactorch.inverse.search.model import Model
-from tactorch.inverse.search.problem import ShapeProblem, is_same_model
-from tactorch.inverse.search.sizing import refined_at_contacts
-from tactorch.progress import progress_line
-from tactorch.recording import Recording
-from tactorch.uncertainty.importance import (
+from tactorch.inverse.posterior.importance import (
     LogDensity,
     Proposal,
     Student,
@@ -41,6 +34,13 @@ from tactorch.uncertainty.importance import (
     pareto_shape,
     weighted_quantile,
 )
+from tactorch.inverse.posterior.shapes import Normal, ShapePosterior
+from tactorch.inverse.result.shapes import InclusionValues, Interval, ShapeReconstruction
+from tactorch.inverse.search.model import Model
+from tactorch.inverse.search.problem import ShapeProblem, is_same_model
+from tactorch.inverse.search.sizing import refined_at_contacts
+from tactorch.progress import progress_line
+from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
 _MIN_EFFECTIVE = 20.0  # draws, for a central 90 % interval
@@ -98,7 +98,7 @@ class ShapeSamples:
 
     @cached_property
     def k_hat(self) -> float:
-        """Pareto shape of the largest weights, see `tactorch.uncertainty.importance`."""
+        """Pareto shape of the largest weights, see `tactorch.inverse.posterior.importance`."""
         return pareto_shape(self.log_weights)
 
     @property

@@ -23,10 +23,11 @@ import scipy.sparse.linalg as spla
 from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import Parameterization, Point
+from tactorch.inverse.fields.parameterization import Parameterization
+from tactorch.inverse.fit.objective import Point
 from tactorch.inverse.posterior.gaussian import Field, GaussianPosterior
+from tactorch.inverse.posterior.laplace import check_weight
 from tactorch.linalg.superlu import SparseFactor
-from tactorch.uncertainty.laplace import check_weight
 
 Product = Callable[[np.ndarray], np.ndarray]
 
@@ -127,10 +128,6 @@ class LowRankPosterior(GaussianPosterior):
     def _reduction(self) -> Float[np.ndarray, " r"]:
         """Relative reduction of the prior variance by the data along each direction."""
         return self.eigenvalues / (1.0 + self.eigenvalues)
-
-    def prior_variance(self) -> Field:
-        """Return the variance of each element's parameter before the data."""
-        return self.factor.inverse_diagonal[: len(self.mean)].copy()
 
     def variance(self) -> Field:
         variance = self.factor.inverse_diagonal - self.directions**2 @ self._reduction
