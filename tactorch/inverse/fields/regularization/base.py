@@ -117,34 +117,35 @@ class NoPrior(Prior):
         return Quadratic(sp.csr_matrix((mesh.n_tets, mesh.n_tets)))
 
 
-def log_level(
-    level_mpa: float | None, region_mpa: Mapping[int, float] | None, mesh: TetMesh
-) -> Level:
-    """Return the reference of a prior as a log-modulus: one, (m,), or None for the present map's.
+@dataclass(frozen=True, kw_only=True)
+class LevelPrior(Prior):
+    """A prior about a reference modulus, which may follow the present map."""
 
-    Args:
-        level_mpa: Modulus of all regions that have none in `region_mpa`, MPa.
-        region_mpa: Modulus of regions by their number, MPa.
-        mesh: Mesh, whose regions these are.
+    level_mpa: float | None = option(
+        None, "Reference modulus; null: that of the present map", unit="MPa", gt=0
+    )
+    region_mpa: dict[int, float] | None = option(
+        None, "Reference modulus of regions by number; others take level_mpa", unit="MPa", gt=0
+    )
 
-    Raises:
-        ConfigError: The mesh has no regions, not one of these, or regions without a modulus.
-    """
-    if not region_mpa:
-        return None if level_mpa is None else float(np.log(level_mpa))
-    return np.log(region_values(region_mpa, mesh, "regularization.region_mpa", level_mpa))
+    def level(self, mesh: TetMesh) -> Level:
+        """Return the reference as a log-modulus: one, (m,), or None for that of the present map.
+
+        Raises:
+            ConfigError: The mesh has no regions, not one of these, or regions without a modulus.
+        """
+        if not self.region_mpa:
+            return None if self.level_mpa is None else float(np.log(self.level_mpa))
+        name = "regularization.region_mpa"
+        return np.log(region_values(self.region_mpa, mesh, name, self.level_mpa))
 
 
 def region_values(
     by_region: Mapping[int, float], mesh: TetMesh, name: str, others: float | None = None
 ) -> Field:
-    """Return the value of the region of each element.
+    """Return the value of the region of each element, by the setting of a name.
 
-    Args:
-        by_region: Value by the number of the region.
-        mesh: Mesh with regions.
-        name: Name of the setting in messages.
-        others: Value of other regions; None where each must have one.
+    Each region must have a value where there is none for others.
 
     Raises:
         ConfigError: The mesh has no regions, not one of these, or regions without a value.
