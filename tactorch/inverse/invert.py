@@ -38,6 +38,7 @@ from tactorch.inverse.forward.palpation import (
 )
 from tactorch.inverse.forward.problem import InverseProblem, make_body
 from tactorch.inverse.posterior.gaussian import GaussianPosterior
+from tactorch.inverse.posterior.laplace import LaplacePosterior
 from tactorch.inverse.posterior.select import posterior_at
 from tactorch.inverse.result.build import config_of, of_elements, of_inclusions
 from tactorch.inverse.result.reconstruction import Reconstruction
@@ -45,7 +46,6 @@ from tactorch.inverse.search.criticism import wrong_forces
 from tactorch.inverse.search.held_out import held_out_score
 from tactorch.inverse.search.model import MIN_GAIN
 from tactorch.inverse.search.search import find_shapes
-from tactorch.linalg import DenseCholesky
 from tactorch.progress import progress_line
 from tactorch.recording import Recording
 
@@ -124,7 +124,8 @@ def invert(
         warning = f"No inclusions can be fitted ({reason}); this is the element map."
         _log.warning("%s", warning)
         return element_map().with_warning(warning)
-    if settings.method == "inclusions" or is_explained(found):
+    is_explained = not found.reasons and found.chi2 <= _MAX_CHI2
+    if settings.method == "inclusions" or is_explained:
         return found
     _log.info("Inclusions do not explain the presses; the element map is computed too.")
     return better_of(found, element_map(), recording, settings)
@@ -147,12 +148,7 @@ def _criticised(result: Reconstruction, recording: Recording, settings: Settings
     """Return an element map, without lumps where it explains wrong forces as structure."""
     if result.reasons or result.stop_reason == StopReason.INTERRUPTED or is_palpation(recording):
         return result
-    try:
-        point = solution(recording, result, settings)
-        level = wrong_forces(point, result.weight)
-    except UNCOMPUTABLE as error:
-        _log.info("whether the forces are wrong is not known: %s", error)
-        return result
+    level = _at_solution(result, recording, settings, "whether forces are wrong", wrong_forces)
     if level is None:
         return result
     reason = (
@@ -161,11 +157,6 @@ def _criticised(result: Reconstruction, recording: Recording, settings: Settings
         "calibration of the force sensor."
     )
     return replace(result, lumps=(), reasons=(reason,))
-
-
-def is_explained(result: Reconstruction) -> bool:
-    """Return whether a result explains the presses, so that no other description is needed."""
-    return not result.reasons and result.chi2 <= _MAX_CHI2
 
 
 def better_of(
@@ -177,7 +168,9 @@ def better_of(
     than that of a model that is accepted in the search, and where they cannot be computed.
     """
     assert inclusions.shapes is not None
-    scores = inclusions.shapes.held_out, _held_out_score(recording, elements, settings)
+    what = "how well the element map predicts held-out presses"
+    score = _at_solution(elements, recording, settings, what, _held_out_score)
+    scores = inclusions.shapes.held_out, score
     if None not in scores and inclusions.residuals is not None:
         gain = (scores[1] - scores[0]) * len(inclusions.residuals)  # type: ignore[operator]
         _log.info("held-out presses: log-density %+.4g by the element map", gain)
@@ -186,22 +179,29 @@ def better_of(
     return replace(inclusions, other=elements)
 
 
-def _held_out_score(
-    recording: Recording, elements: Reconstruction, settings: Settings
+def _held_out_score(point: Point, weight: float) -> float | None:
+    """Return the score of an element map."""
+    posterior, evaluation = LaplacePosterior.at(point, weight), point.evaluation
+    contacts = contacts_of(point.objective.problem.recording, evaluation.data.observations)
+    covariance = posterior.factor.inverse()
+    return held_out_score(
+        evaluation.data, contacts, evaluation.residuals, posterior.jacobian, covariance
+    )
+
+
+def _at_solution(
+    result: Reconstruction,
+    recording: Recording,
+    settings: Settings,
+    what: str,
+    compute: Callable[[Point, float], float | None],
 ) -> float | None:
-    """Return the score of an element map; None where it cannot be computed."""
+    """Return what is computed of an element map; None where it cannot be, which is logged."""
     try:
-        point = solution(recording, elements, settings)
-        prior = point.prior_curvature(elements.weight)
-        factor = DenseCholesky.of(point.jacobian.T @ point.jacobian, prior)
+        return compute(solution(recording, result, settings), result.weight)
     except UNCOMPUTABLE as error:
-        _log.info("held-out presses cannot be predicted by the element map: %s", error)
+        _log.info("%s is not known: %s", what, error)
         return None
-    if factor is None:
-        return None
-    data, residuals = point.evaluation.data, point.evaluation.residuals
-    contacts = contacts_of(recording, data.observations)
-    return held_out_score(data, contacts, residuals, point.jacobian, factor.inverse())
 
 
 def invert_map(

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from tactorch.config import Options, option
+from tactorch.inverse.data.plain import to_plain
 from tactorch.mesh import TetMesh
 from tactorch.recording import Press
 
@@ -165,13 +166,8 @@ class NuisanceEstimate:
 
     def plain(self) -> dict[str, Any]:
         """Return the estimate as plain JSON values."""
-        return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
-
-    @staticmethod
-    def of(plain: Mapping[str, Any]) -> "NuisanceEstimate":
-        """Return the estimate from plain JSON values."""
-        value, deviation = np.array(plain["value"]), np.array(plain["deviation"])
-        return NuisanceEstimate(value, deviation, plain["prior_deviation"])
+        values: dict[str, Any] = to_plain(self)
+        return values
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,9 +83,6 @@ class LaplacePosterior(GaussianPosterior):
         sample = torch.linalg.solve_triangular(self.factor.lower.T, noise, upper=True).numpy()
         return self.mean + sample[: len(self.mean)].T
 
-    def log_det(self) -> float:
-        return 2.0 * float(torch.log(torch.diagonal(self.factor.lower)).sum())
-
 
 def check_weight(weight: float) -> None:
     """Raise ConfigError for a negative or undefined weight of the prior."""

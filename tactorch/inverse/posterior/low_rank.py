@@ -151,7 +151,3 @@ class LowRankPosterior(GaussianPosterior):
         shrink = 1.0 - 1.0 / np.sqrt(1.0 + self.eigenvalues)
         sample -= self.directions @ (shrink[:, None] * along)
         return self.mean + sample[: len(self.mean)].T
-
-    def log_det(self) -> float:
-        """See `GaussianPosterior.log_det`; a lower bound, by the omitted directions."""
-        return self.factor.log_det() + float(np.log1p(self.eigenvalues).sum())
