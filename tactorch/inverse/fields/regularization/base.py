@@ -25,19 +25,11 @@ Level = float | Field | None
 class Regularizer(ABC):
     """Penalty on a field of log-moduli, one value per element.
 
-    The attributes below are capabilities that posteriors and optimizers query; the defaults
-    describe a penalty of which nothing but its values and derivatives is known.
-
     Attributes:
-        gaussian: Whether the penalty is the negative logarithm of a Gaussian density, so that
-            `curvature` is a constant precision matrix.
-        mean: Log-moduli at the mean of that density, where it does not depend on the field.
         variation_edge: Jump below which total variation of the log-moduli is quadratic, where the
-            penalty is that, else None.
+            penalty is that, else None; posteriors depend on it.
     """
 
-    gaussian: bool = False
-    mean: Field | None = None
     variation_edge: float | None = None
 
     @abstractmethod
@@ -82,14 +74,10 @@ class Quadratic(Regularizer):
         volumes: Weights of that average, (m,).
     """
 
-    gaussian = True
-
     def __init__(
         self, matrix: sp.spmatrix, level: Level = 0.0, volumes: Field | None = None
     ) -> None:
         self._matrix, self._level, self._volumes = matrix.tocsr(), level, volumes
-        if level is not None:
-            self.mean = np.array(np.broadcast_to(level, matrix.shape[0]), dtype=np.float64)
 
     def _difference(self, field: np.ndarray) -> np.ndarray:
         level = np.average(field, weights=self._volumes) if self._level is None else self._level
