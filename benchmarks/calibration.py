@@ -14,8 +14,8 @@ Objects of three kinds are simulated, inverted without their truth, and compared
   an element is its mean modulus. This is the decisive figure.
 
 Two posteriors are evaluated: `laplace` (curvature of total variation at the map, with the final
-weight of the inversion) and `variational` (`tactorch.uncertainty.variational_posterior`, whose
-weight and jumps are estimated from the data). Neither has a fitted factor.
+weight of the inversion) and `variational` (`tactorch.inverse.posterior.variational_posterior`,
+whose weight and jumps are estimated from the data). Neither has a fitted factor.
 
 The last line printed is one JSON object; its first figures are those of `other mesh` and
 `variational`.
@@ -31,7 +31,7 @@ import numpy as np
 from calibration_objects import KINDS, Outcome
 from machine import OtherWork, describe_machine
 
-from tactorch.uncertainty import calibration_curve, calibration_error, coverage
+from tactorch.inverse.posterior import calibration_curve, calibration_error, coverage
 from tactorch.viz import calibration_figure, save_figure
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")

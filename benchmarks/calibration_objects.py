@@ -22,12 +22,12 @@ from tactorch.inverse import (
     make_objective,
 )
 from tactorch.inverse.fields import ElementField
+from tactorch.inverse.posterior import GaussianPosterior, LaplacePosterior, variational_posterior
 from tactorch.linalg.superlu import SparseFactor
 from tactorch.mesh import Box, Shape, Sphere, TetMesh, box_mesh
 from tactorch.phantoms import Phantom, make_phantom
 from tactorch.recording import Recording
 from tactorch.simulation import PressPlan, noise_level, simulate
-from tactorch.uncertainty import GaussianPosterior, LaplacePosterior, variational_posterior
 
 SIDE = 10.0
 FACES = ("z+", "x+", "y+")

@@ -26,11 +26,10 @@ import numpy as np
 from machine import OtherWork, map_in_processes, write_results
 from true_cases import Case, make_recording, random_cases
 
-from tactorch.inverse import find_shapes
+from tactorch.inverse import ShapeSamples, find_shapes, sample_shapes
+from tactorch.inverse.posterior.importance import weighted_quantile
 from tactorch.inverse.result.shapes import InclusionValues
 from tactorch.mesh import Ellipsoid, Rotated, Sphere
-from tactorch.uncertainty import ShapeSamples, sample_shapes
-from tactorch.uncertainty.importance import weighted_quantile
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
 QUANTITIES = {"E": "MPa", "R": "mm", "x": "mm", "y": "mm", "z": "mm"}

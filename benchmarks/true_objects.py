@@ -45,10 +45,10 @@ from true_cases import CASES, EMPTY_CASES, RANDOM_CASES, Case, Truth, make_recor
 from tactorch.errors import TactorchError
 from tactorch.files import write_json
 from tactorch.inverse import Settings, find_lumps, invert_map, make_objective
+from tactorch.inverse.posterior import variational_posterior
 from tactorch.inverse.search import find_shapes
 from tactorch.mesh import TetMesh, locate
 from tactorch.recording import Recording, refine_recording
-from tactorch.uncertainty import variational_posterior
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
 MAX_CHANGE = 0.1  # of the noise, by refinement of the truth mesh

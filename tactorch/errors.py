@@ -43,6 +43,10 @@ class CancelledError(TactorchError):
         self.reached = reached
 
 
+#: Errors of what cannot be computed; on large problems also of NumPy, torch, ARPACK.
+UNCOMPUTABLE = (TactorchError, MemoryError, RuntimeError)
+
+
 class RobotError(TactorchError):
     """A robot did not carry out a press. Drivers may raise it, or a more specific one."""
 

@@ -30,7 +30,7 @@ PAGES = {
     "inverse": ("Inversion", ["tactorch.inverse"]),
     "uncertainty": (
         "Uncertainty and active sampling",
-        ["tactorch.uncertainty", "tactorch.sampling"],
+        ["tactorch.inverse.posterior", "tactorch.sampling"],
     ),
     "robot": ("Robots", ["tactorch.robot"]),
     "fem": (

@@ -9,15 +9,19 @@ from jaxtyping import Float
 
 from tactorch.cli.console import Table, log, log_text
 from tactorch.cli.resume import CHECKPOINT
-from tactorch.errors import FileError
+from tactorch.errors import UNCOMPUTABLE, FileError
 from tactorch.files import write_file, write_json
-from tactorch.inverse import NuisanceEstimate, Reconstruction, Settings, find_lump
+from tactorch.inverse import (
+    NuisanceEstimate,
+    Reconstruction,
+    Settings,
+    compute_posterior,
+    find_lump,
+)
 from tactorch.inverse.result.text import describe
 from tactorch.mesh import TetMesh
 from tactorch.metrics import scores
 from tactorch.recording import Recording
-from tactorch.uncertainty import compute_posterior
-from tactorch.uncertainty.select import UNCOMPUTABLE
 
 History = Sequence[Mapping[str, Any]]
 

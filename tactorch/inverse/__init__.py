@@ -47,10 +47,11 @@ from tactorch.inverse.fit.starts import (
 from tactorch.inverse.forward.palpation import PalpationProblem, is_palpation
 from tactorch.inverse.forward.problem import Evaluation, InverseProblem
 from tactorch.inverse.incremental import IncrementalInversion, IncrementalResult
-from tactorch.inverse.invert import invert, invert_map, make_objective
+from tactorch.inverse.invert import compute_posterior, invert, invert_map, make_objective
 from tactorch.inverse.result import Lump, Reconstruction, Status, find_lump, find_lumps
 from tactorch.inverse.result.shapes import ShapeInclusion, ShapeReconstruction
 from tactorch.inverse.search import find_shapes
+from tactorch.inverse.shape_samples import ShapeIntervals, ShapeSamples, sample_shapes
 
 __all__ = [
     "INITIALIZATIONS",
@@ -94,7 +95,9 @@ __all__ = [
     "Scaled",
     "Settings",
     "ShapeInclusion",
+    "ShapeIntervals",
     "ShapeReconstruction",
+    "ShapeSamples",
     "ShiftedPrior",
     "Smoothness",
     "Sparsity",
@@ -104,6 +107,7 @@ __all__ = [
     "Tikhonov",
     "TotalVariation",
     "best_uniform",
+    "compute_posterior",
     "find_lump",
     "find_lumps",
     "find_shapes",
@@ -113,5 +117,6 @@ __all__ = [
     "is_palpation",
     "make_objective",
     "monte_carlo",
+    "sample_shapes",
     "settings_from",
 ]

@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from tactorch.config import to_mapping
-from tactorch.errors import CancelledError, ConfigError, TactorchError
+from tactorch.errors import UNCOMPUTABLE, CancelledError, ConfigError
 from tactorch.fem import SoftBody
 from tactorch.inverse.data.misfit import MISFITS, Adaptive, Squares
 from tactorch.inverse.data.observations import NoiseModel
@@ -37,17 +37,20 @@ from tactorch.inverse.forward.palpation import (
     is_palpation,
 )
 from tactorch.inverse.forward.problem import InverseProblem, make_body
+from tactorch.inverse.posterior.gaussian import GaussianPosterior
+from tactorch.inverse.posterior.laplace import LaplacePosterior
+from tactorch.inverse.posterior.select import posterior_at
 from tactorch.inverse.result.build import config_of, of_elements, of_inclusions
 from tactorch.inverse.result.reconstruction import Reconstruction
 from tactorch.inverse.search.criticism import force_errors
 from tactorch.inverse.search.held_out import held_out_score
 from tactorch.inverse.search.model import MIN_GAIN
 from tactorch.inverse.search.search import find_shapes
-from tactorch.linalg import DenseCholesky
 from tactorch.progress import progress_line
 from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
+_T = TypeVar("_T")
 _ADAPT_ITERATIONS = 30
 _MIN_REPORTED = 2.0  # factor of the noise of a press that is logged
 # Mean squared residual of inclusions, over that of the noise, above which an element map is
@@ -115,14 +118,15 @@ def invert(
         found = _find(recording, settings, search)
     except CancelledError:
         raise
-    except (TactorchError, MemoryError, RuntimeError) as error:
+    except UNCOMPUTABLE as error:
         if settings.method == "inclusions":
             raise
         reason = str(error).rstrip(".") or "not enough memory"
         warning = f"No inclusions can be fitted ({reason}); this is the element map."
         _log.warning("%s", warning)
         return element_map().with_warning(warning)
-    if settings.method == "inclusions" or is_explained(found):
+    is_explained = not found.reasons and found.chi2 <= _MAX_CHI2
+    if settings.method == "inclusions" or is_explained:
         return found
     _log.info("Inclusions do not explain the presses; the element map is computed too.")
     return better_of(found, element_map(), recording, settings)
@@ -145,12 +149,7 @@ def _criticised(result: Reconstruction, recording: Recording, settings: Settings
     """Return an element map, without lumps where it explains wrong forces as structure."""
     if result.reasons or result.stop_reason == StopReason.INTERRUPTED or is_palpation(recording):
         return result
-    try:
-        point = solution(recording, result, settings)
-        errors = force_errors(point, result.history[-1].get("weight", 0.0))
-    except (TactorchError, MemoryError, RuntimeError) as error:
-        _log.info("whether the forces are wrong is not known: %s", error)
-        return result
+    errors = _at_solution(result, recording, settings, "whether forces are wrong", force_errors)
     if errors is None or not errors.are_likely:
         return result
     reason = (
@@ -159,11 +158,6 @@ def _criticised(result: Reconstruction, recording: Recording, settings: Settings
         "check the calibration of the force sensor."
     )
     return replace(result, lumps=(), reasons=(reason,))
-
-
-def is_explained(result: Reconstruction) -> bool:
-    """Return whether a result explains the presses, so that no other description is needed."""
-    return not result.reasons and result.chi2 <= _MAX_CHI2
 
 
 def better_of(
@@ -175,7 +169,9 @@ def better_of(
     than that of a model that is accepted in the search, and where they cannot be computed.
     """
     assert inclusions.shapes is not None
-    scores = inclusions.shapes.held_out, _held_out_score(recording, elements, settings)
+    what = "how well the element map predicts held-out presses"
+    score = _at_solution(elements, recording, settings, what, _held_out_score)
+    scores = inclusions.shapes.held_out, score
     if None not in scores and inclusions.residuals is not None:
         gain = (scores[1] - scores[0]) * len(inclusions.residuals)  # type: ignore[operator]
         _log.info("held-out presses: log-density %+.4g by the element map", gain)
@@ -184,22 +180,29 @@ def better_of(
     return replace(inclusions, other=elements)
 
 
-def _held_out_score(
-    recording: Recording, elements: Reconstruction, settings: Settings
-) -> float | None:
-    """Return the score of an element map; None where it cannot be computed."""
+def _held_out_score(point: Point, weight: float) -> float | None:
+    """Return the score of an element map."""
+    posterior, evaluation = LaplacePosterior.at(point, weight), point.evaluation
+    contacts = contacts_of(point.objective.problem.recording, evaluation.data.observations)
+    covariance = posterior.factor.inverse()
+    return held_out_score(
+        evaluation.data, contacts, evaluation.residuals, posterior.jacobian, covariance
+    )
+
+
+def _at_solution(
+    result: Reconstruction,
+    recording: Recording,
+    settings: Settings,
+    what: str,
+    compute: Callable[[Point, float], _T | None],
+) -> _T | None:
+    """Return what is computed of an element map; None where it cannot be, which is logged."""
     try:
-        point = solution(recording, elements, settings)
-        prior = point.prior_curvature(elements.history[-1].get("weight", 0.0))
-        factor = DenseCholesky.of(point.jacobian.T @ point.jacobian, prior)
-    except (TactorchError, MemoryError, RuntimeError) as error:
-        _log.info("held-out presses cannot be predicted by the element map: %s", error)
+        return compute(solution(recording, result, settings), result.weight)
+    except UNCOMPUTABLE as error:
+        _log.info("%s is not known: %s", what, error)
         return None
-    if factor is None:
-        return None
-    data, residuals = point.evaluation.data, point.evaluation.residuals
-    contacts = contacts_of(recording, data.observations)
-    return held_out_score(data, contacts, residuals, point.jacobian, factor.inverse())
 
 
 def invert_map(
@@ -405,6 +408,27 @@ def solution(recording: Recording, result: Reconstruction, settings: Settings) -
     values = {name: estimate.value for name, estimate in result.nuisance.items()}
     x[m:] = nuisance.z(values, objective.problem.assumed)
     return objective.at(x)
+
+
+def compute_posterior(
+    recording: Recording, reconstruction: Reconstruction, settings: Settings | None = None
+) -> GaussianPosterior:
+    """Return the posterior of an element map.
+
+    It is `variational_posterior` under total variation up to 2,000 parameters, otherwise
+    `LaplacePosterior` up to 12,000, and `LowRankPosterior` beyond.
+
+    Args:
+        recording: Presses that were inverted.
+        reconstruction: Result of `invert`.
+        settings: Settings of the inversion.
+
+    Raises:
+        ConfigError: settings and result do not match, or data and prior leave moduli undetermined.
+        ConvergenceError: a press has no stable equilibrium at the map.
+    """
+    point = solution(recording, reconstruction, settings or Settings())
+    return posterior_at(point, reconstruction.weight)
 
 
 def _describe_model_error(recording: Recording, settings: Settings) -> str:

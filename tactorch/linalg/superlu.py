@@ -84,10 +84,6 @@ class SparseFactor:
         """Return the solution of A x = rhs, one or many columns."""
         return self.lu.solve(np.ascontiguousarray(rhs))
 
-    def log_det(self) -> float:
-        """Return the logarithm of A's determinant."""
-        return float(np.log(self.pivots).sum())
-
     @cached_property
     def _upper(self) -> sp.csr_matrix:
         return sp.csr_matrix((self.below + sp.eye(len(self.pivots), format="csc")).T)

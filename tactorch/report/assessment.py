@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.errors import UNCOMPUTABLE
 from tactorch.inverse import settings_from
 from tactorch.inverse.data.observations import Observation
 from tactorch.inverse.forward.predictions import observed_data
 from tactorch.inverse.invert import solution
+from tactorch.inverse.posterior import GaussianPosterior, credibility, posterior_at
 from tactorch.inverse.result import LEVEL
 from tactorch.recording import Recording
 from tactorch.report.content import PressFit, RunReport, UncertaintySummary
 from tactorch.report.runs import Run
-from tactorch.uncertainty import GaussianPosterior, credibility
-from tactorch.uncertainty.select import UNCOMPUTABLE, posterior_at
 
 #: Called before each step with its name, the number of finished steps and their total.
 ProgressCallback = Callable[[str, int, int], None]
@@ -69,7 +69,7 @@ def _assess(run: Run, recording: Recording, progress: ProgressCallback) -> RunRe
         known = _known(run)
         assert known is not None
     else:
-        posterior = posterior_at(point, result.history[-1].get("weight", 0.0))
+        posterior = posterior_at(point, result.weight)
         step(3)
         known = _of_elements(posterior, point.youngs)
         run = replace(run, result=result.with_posterior(recording, posterior))

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from tactorch.inverse import InverseProblem
+from tactorch.inverse.posterior import credibility, layer_profile
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.reproduce.cases import CaseResult, CaseSettings, Exhibit, Results, Table
 from tactorch.reproduce.paper import MATERIAL
 from tactorch.simulation import PressPlan, simulate
-from tactorch.uncertainty import credibility, layer_profile
 from tactorch.viz import depth_figure
 
 YOUNGS_MPA = (5.0, 7.5, 10.0)

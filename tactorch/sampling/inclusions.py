@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tactorch.errors import CancelledError, FileError, TactorchError
+from tactorch.errors import UNCOMPUTABLE, CancelledError, FileError
 from tactorch.files import read_json, write_json
 from tactorch.inverse import Reconstruction, Settings, ShapeReconstruction, invert
 from tactorch.inverse.errors.kept import KeptRims
@@ -66,7 +66,7 @@ class InclusionSearch:
         except CancelledError as error:
             self._reached = error.reached or self._reached
             raise
-        except (TactorchError, MemoryError, RuntimeError) as error:
+        except UNCOMPUTABLE as error:
             self._reached, reason = None, str(error).rstrip(".") or "not enough memory"
             return elements.with_warning(f"No inclusions can be fitted ({reason}).")
         self._reached = None

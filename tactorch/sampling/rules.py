@@ -15,11 +15,11 @@ from jaxtyping import Float
 from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError
 from tactorch.inverse import Parameterization, ShapeReconstruction
+from tactorch.inverse.posterior.gaussian_state import GaussianState
 from tactorch.mesh import TetMesh
 from tactorch.mesh.geometry import farthest_point_order
 from tactorch.recording import Recording
 from tactorch.sampling.candidates import Patch
-from tactorch.uncertainty.gaussian_state import GaussianState
 
 _HERE = "tactorch.sampling.rules"
 RULES = Registry(

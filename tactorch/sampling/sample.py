@@ -14,6 +14,7 @@ from tactorch.fem import SoftBody, Supports
 from tactorch.fem.transfer import Transfer
 from tactorch.inverse import Settings
 from tactorch.inverse.fit.starts import START_MPA
+from tactorch.inverse.posterior.select import posterior_at
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.recording.append import digest
@@ -22,7 +23,6 @@ from tactorch.sampling.loop import LoopOptions, Observer, SamplingLoop, Update
 from tactorch.sampling.rules import Rule
 from tactorch.sampling.sources import Arrival, PressSource
 from tactorch.sampling.suggest import Suggester, SuggestOptions
-from tactorch.uncertainty.select import posterior_at
 
 
 @runtime_checkable

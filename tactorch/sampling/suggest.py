@@ -14,16 +14,16 @@ from tactorch.inverse import InverseProblem, Point, Settings, ShapeReconstructio
 from tactorch.inverse.data.observations import CorrelatedNoise
 from tactorch.inverse.errors.discretisation import smooth_pattern
 from tactorch.inverse.posterior.gaussian import GaussianPosterior
-from tactorch.recording import Press, Recording
-from tactorch.sampling.candidates import Candidates, InferredCandidates, Patch
-from tactorch.sampling.rules import RULES, Automatic, Jacobian, Rule, SamplingState
-from tactorch.uncertainty.gaussian_state import GaussianState
-from tactorch.uncertainty.laplace import LaplacePosterior
-from tactorch.uncertainty.variational import (
+from tactorch.inverse.posterior.gaussian_state import GaussianState
+from tactorch.inverse.posterior.laplace import LaplacePosterior
+from tactorch.inverse.posterior.variational import (
     VariationalPosterior,
     has_variational_posterior,
     variational_posterior,
 )
+from tactorch.recording import Press, Recording
+from tactorch.sampling.candidates import Candidates, InferredCandidates, Patch
+from tactorch.sampling.rules import RULES, Automatic, Jacobian, Rule, SamplingState
 
 # A coarse posterior suffices to compare candidates, and starts from the previous one.
 _MAX_ITERATIONS, _TOLERANCE = 12, 0.1

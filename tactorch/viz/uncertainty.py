@@ -30,7 +30,7 @@ def layer_figure(curves: Mapping[str, tuple[np.ndarray, np.ndarray]], *, title: 
     """Return a figure of the credibility of each layer against the position of the layer.
 
     Args:
-        curves: Result of `tactorch.uncertainty.layer_profile` by label.
+        curves: Result of `tactorch.inverse.posterior.layer_profile` by label.
         title: Title of the figure.
     """
     require_curves("layer_figure", curves)
@@ -88,7 +88,7 @@ def calibration_figure(curves: Mapping[str, Float[np.ndarray, " k"]], *, title: 
     """Return a figure of the coverage of intervals by level; exact ones are on the diagonal.
 
     Args:
-        curves: Result of `tactorch.uncertainty.calibration_curve` at its default levels by label.
+        curves: Results of `tactorch.inverse.posterior.calibration_curve` by label, at its levels.
         title: Title of the figure.
     """
     require_curves("calibration_figure", curves)

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from tactorch.errors import ConfigError
 from tactorch.fem import SoftBody, Supports, make_material
@@ -15,7 +16,6 @@ from tactorch.inverse.data.observations import CorrelatedNoise
 from tactorch.inverse.fit.starts import homogeneous
 from tactorch.inverse.forward.palpation import (
     PalpationProblem,
-    PlaceErrors,
     group_places,
     is_palpation,
 )
@@ -103,11 +103,12 @@ def test_places_are_the_axes_of_presses(with_lump: Recording) -> None:
     assert len(group_places([poses[0], aside])[1]) == 2
 
 
-def test_errors_of_places_are_correlated_noise() -> None:
+def test_sparse_patterns_are_those_of_dense_ones() -> None:
     rng = np.random.default_rng(0)
-    sizes, places = rng.standard_normal(9), np.array([0, 0, 1, 1, 1, 2, 2, 0, 2])
-    errors, values = PlaceErrors(sizes, places), rng.standard_normal((9, 4))
-    dense = CorrelatedNoise(errors.patterns)
+    places = np.array([0, 0, 1, 1, 1, 2, 2, 0, 2])
+    patterns = sp.csr_matrix((rng.standard_normal(9), (np.arange(9), places)))
+    errors, values = CorrelatedNoise(patterns), rng.standard_normal((9, 4))
+    dense = CorrelatedNoise(patterns.toarray())
     assert errors.whiten(values) == pytest.approx(dense.whiten(values))
     assert errors.whiten(values[:, 0]) == pytest.approx(dense.whiten(values[:, 0]))
     assert errors.log_determinant == pytest.approx(dense.log_determinant)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tactorch.inverse.data.plain import to_plain, with_arrays
 from tactorch.inverse.errors.smooth_forces import (
     border_distances,
     correlation_length,
@@ -124,4 +125,4 @@ def test_inclusions_are_kept_in_the_object() -> None:
     free = ShapeField(replace(prior, outside_mm=None), (ELLIPSOID, BALL))
     assert len(free.excess(z)) == 0
     assert free.excess_jacobian(z).shape == (0, field.size)
-    assert ShapePrior.of_plain(prior.plain()).outside_mm == 2.0
+    assert ShapePrior(**with_arrays(to_plain(prior))).outside_mm == 2.0

@@ -146,7 +146,7 @@ def test_warnings_are_those_of_the_summary(run_folder: Path) -> None:
 
 
 def test_uncertainty_is_that_of_the_posterior(run_folder: Path) -> None:
-    from tactorch.uncertainty import compute_posterior
+    from tactorch.inverse import compute_posterior
 
     run = load_run(run_folder)
     steps: list[tuple[int, int]] = []

@@ -6,6 +6,7 @@ import pytest
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import Log
+from tactorch.inverse.posterior import GaussianState
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.sampling import (
     ExpectedError,
@@ -18,7 +19,6 @@ from tactorch.sampling import (
     UniformGrid,
 )
 from tactorch.sampling.rules import area_means
-from tactorch.uncertainty import GaussianState
 
 DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -80,7 +80,7 @@ def test_papers_variance_is_that_of_its_update(state: SamplingState) -> None:
     credibility[:, :50] = 0.0
     posterior = GaussianState(np.zeros(state.mesh.n_tets), 0.25 * np.eye(state.mesh.n_tets))
     for one in credibility:
-        posterior = posterior.after_map(posterior.mean, one)
+        posterior = posterior.after_press(np.diag(np.sqrt(one)), np.zeros(len(one)))
     means = area_means(state.mesh, state.candidates, posterior.deviation() ** 2)
     chosen = LargestUncertainty(0.5).choose(replace(state, credibility=credibility))
     assert means[chosen] == pytest.approx(means[state.remaining].max())

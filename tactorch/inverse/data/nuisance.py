@@ -6,9 +6,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from tactorch.config import Options, option
+from tactorch.inverse.data.plain import to_plain
 from tactorch.mesh import TetMesh
 from tactorch.recording import Press
 
@@ -50,16 +52,11 @@ class Nuisance:
     def rotation_rates(self) -> Float[np.ndarray, "3 3"]:
         """Return, column by column, the spatial rotation by a change of each component.
 
-        This is the left Jacobian of the rotation group (Sola, Deray and Atchuthan, 2018, eq. 145).
+        This is the left Jacobian of the rotation group (Sola, Deray and Atchuthan, 2018, eq. 145),
+        the integral of exp(t W) over t from 0 to 1, with W the matrix of the rotation vector.
         """
-        angle = float(np.linalg.norm(self.rotation_rad))
-        x, y, z = self.rotation_rad
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        if angle < 1e-4:  # the coefficients' own series: their differences would cancel
-            return np.eye(3) + 0.5 * cross + cross @ cross / 6.0
-        a = (1.0 - np.cos(angle)) / angle**2
-        b = (angle - np.sin(angle)) / angle**3
-        return np.eye(3) + a * cross + b * (cross @ cross)
+        cross = np.cross(np.eye(3), self.rotation_rad)
+        return expm(np.block([[cross, np.eye(3)], [np.zeros((3, 6))]]))[:3, 3:]
 
 
 @dataclass(frozen=True)
@@ -165,13 +162,8 @@ class NuisanceEstimate:
 
     def plain(self) -> dict[str, Any]:
         """Return the estimate as plain JSON values."""
-        return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
-
-    @staticmethod
-    def of(plain: Mapping[str, Any]) -> "NuisanceEstimate":
-        """Return the estimate from plain JSON values."""
-        value, deviation = np.array(plain["value"]), np.array(plain["deviation"])
-        return NuisanceEstimate(value, deviation, plain["prior_deviation"])
+        values: dict[str, Any] = to_plain(self)
+        return values
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 from tactorch.config import Options, option
@@ -76,16 +77,17 @@ class CorrelatedNoise:
     It whitens residuals whose covariance is the unit matrix plus B B^T. B has few columns, each the
     pattern of an error of unit standard deviation, in standard deviations of the white noise. With
     B^T B = V S^2 V^T and T = 1 + S^2 the symmetric root of the inverse is
-    1 - B V (T + T^(1/2))^(-1) V^T B^T.
+    1 - B V (T + T^(1/2))^(-1) V^T B^T. B may be sparse.
     """
 
-    def __init__(self, patterns: Float[np.ndarray, "data k"]) -> None:
+    def __init__(self, patterns: Float[np.ndarray, "data k"] | sp.spmatrix) -> None:
         self.patterns = patterns
 
     @cached_property
     def _modes(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
         """Eigenvalues T, and V."""
-        squares, vectors = np.linalg.eigh(self.patterns.T @ self.patterns)
+        products = self.patterns.T @ self.patterns
+        squares, vectors = np.linalg.eigh(_dense(products))
         return 1.0 + np.maximum(squares, 0.0), vectors
 
     @cached_property
@@ -104,10 +106,15 @@ class CorrelatedNoise:
 
     def whiten(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
         """Return whitened residuals or their derivatives; the operator is symmetric."""
-        if values.ndim == 1:  # not by BLAS: see `tactorch.linalg.dense`
+        if values.ndim == 1 and isinstance(self.patterns, np.ndarray):
+            # Not by BLAS: see `tactorch.linalg.dense`.
             inner = np.einsum("kl,l->k", self._loss, np.einsum("dl,d->l", self.patterns, values))
             return values - np.einsum("dk,k->d", self.patterns, inner)
         return values - self.patterns @ (self._loss @ (self.patterns.T @ values))
+
+
+def _dense(matrix: np.ndarray | sp.spmatrix) -> np.ndarray:
+    return matrix if isinstance(matrix, np.ndarray) else matrix.toarray()
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,14 +153,9 @@ class Observation:
         return Observation(index, np.concatenate(values), np.concatenate(scales), *readings)
 
     @property
-    def n_displacements(self) -> int:
-        """Number of data that are displacements, mm."""
-        return len(self.values) - (0 if self.force is None else len(self.force.values))
-
-    @property
     def units(self) -> tuple[slice, slice]:
         """Data that are displacements (mm), and forces and moments (N, N mm)."""
-        count = self.n_displacements
+        count = len(self.values) - (0 if self.force is None else len(self.force.values))
         return slice(count), slice(count, len(self.values))
 
     @property
@@ -214,7 +216,7 @@ class DataModel:
         Each column is the pattern of an error of unit standard deviation, in standard deviations
         of the white noise.
         """
-        known = [] if self.correlated is None else [self.correlated.patterns]
+        known = [] if self.correlated is None else [_dense(self.correlated.patterns)]
         return replace(self, correlated=CorrelatedNoise(np.hstack([*known, patterns])))
 
     def shifted(self, offsets: Sequence[Float[np.ndarray, " p"]]) -> "DataModel":

@@ -21,26 +21,17 @@ Levels: TypeAlias = Mapping[str, float]
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPresses:
-    """Presses whose errors are linearised.
+    """Presses whose errors are linearised."""
 
-    Attributes:
-        problem: The presses, whose data have white noise.
-        contacts: Numbers of the presses of each contact.
-        linearised: Predictions about which errors are linearised.
-        corrections_mm: Corrections of the discretisation that the data contain, mm, or None.
-        rims: Numbers of the presses of each contact whose traction is uncertain where it ends, and
-            the nodes there.
-        at_edge: Whether a sensor's contact ends at an edge of the body.
-        kept: What searches on further presses reuse.
-    """
-
-    problem: InverseProblem
-    contacts: Sequence[tuple[int, ...]] = ()
-    linearised: Evaluation | None = None
+    problem: InverseProblem  # whose data have white noise
+    contacts: Sequence[tuple[int, ...]] = ()  # numbers of the presses of each
+    linearised: Evaluation | None = None  # predictions about which errors are linearised
+    #: Corrections of the discretisation that the data contain.
     corrections_mm: Sequence[Float[np.ndarray, " _"]] | None = None
+    #: Presses of each contact whose traction is uncertain where it ends, and the nodes there.
     rims: Sequence[tuple[tuple[int, ...], Int[np.ndarray, " _"]]] = ()
-    at_edge: bool = False
-    kept: KeptRims = field(default_factory=KeptRims)
+    at_edge: bool = False  # whether a sensor's contact ends at an edge of the body
+    kept: KeptRims = field(default_factory=KeptRims)  # what searches on further presses reuse
 
     @property
     def evaluation(self) -> Evaluation:

@@ -13,16 +13,10 @@ Key: TypeAlias = tuple[str, ...]
 
 
 class RimError(NamedTuple):
-    """Predictions of a mesh that is finer at the rim of a contact, less those of the common mesh.
+    """Predictions of a mesh that is finer at a rim, less those of the common mesh."""
 
-    Attributes:
-        log_youngs: Logarithm of the modulus (MPa) at the loaded nodes, of the model at which it was
-            computed.
-        changes: Change of the data of each of some presses of the contact, mm.
-    """
-
-    log_youngs: Float[np.ndarray, " nodes"]
-    changes: tuple[Float[np.ndarray, " _"], ...]
+    log_youngs: Float[np.ndarray, " nodes"]  # log MPa at the loaded nodes, of the model then
+    changes: tuple[Float[np.ndarray, " _"], ...]  # of the data of some presses of the contact, mm
 
 
 @dataclass(frozen=True, eq=False)

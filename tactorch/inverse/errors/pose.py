@@ -1,7 +1,5 @@
 """Errors of the poses of sensor, object and probes."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import orth
@@ -70,45 +68,29 @@ class Pose(RigidMotion):
         columns = [super().patterns(presses)]
         if presses.problem.recording.has_probes:
             motions = presses.evaluation.probe_motions()
-            for place in _places(presses.problem.recording):
-                parts = {i: place.depth_mm * motions[i] for i in place.presses}
+            for place, depth in _places(presses.problem.recording):
+                parts = {i: depth * motions[i] for i in place}
                 columns.append(presses.joined(parts, 3))
         return np.hstack(columns)
 
 
-@dataclass(eq=False)
-class _Place:
-    """Presses by one probe, whose positions differ along its axis.
-
-    Attributes:
-        pose: Pose of the first.
-        depth_mm: Largest depth.
-        presses: Their numbers.
-    """
-
-    pose: ProbePose
-    depth_mm: float
-    presses: list[int]
-
-    def has(self, pose: ProbePose) -> bool:
-        """Return whether a press is at this place."""
-        if pose.probe != self.pose.probe or not np.allclose(pose.rotation, self.pose.rotation):
-            return False
-        axis, apart = pose.rotation[:, 2], pose.position_mm - self.pose.position_mm
-        across = float(np.linalg.norm(apart - (apart @ axis) * axis))
-        return across < _SAME_PLACE * self.depth_mm
-
-
-def _places(recording: Recording) -> list[_Place]:
-    places: list[_Place] = []
-    for i, press in enumerate(recording.presses):
-        if (pose := press.probe) is None:
-            continue
-        depth = largest_depth(pose, recording.mesh)
-        place = next((place for place in places if place.has(pose)), None)
-        if place is None:
-            places.append(_Place(pose, depth, [i]))
+def _places(recording: Recording) -> list[tuple[list[int], float]]:
+    """Return presses by one probe at positions along its axis, and their largest depth, mm."""
+    poses = {i: press.probe for i, press in enumerate(recording.presses) if press.probe is not None}
+    depths = {i: largest_depth(pose, recording.mesh) for i, pose in poses.items()}
+    places: list[list[int]] = []
+    for i, pose in poses.items():
+        for place in places:
+            if _is_along(pose, poses[place[0]], _SAME_PLACE * max(depths[k] for k in place)):
+                place.append(i)
+                break
         else:
-            place.depth_mm = max(place.depth_mm, depth)
-            place.presses.append(i)
-    return places
+            places.append([i])
+    return [(place, max(depths[k] for k in place)) for place in places]
+
+
+def _is_along(pose: ProbePose, first: ProbePose, apart_mm: float) -> bool:
+    if pose.probe != first.probe or not np.allclose(pose.rotation, first.rotation):
+        return False
+    axis, apart = pose.rotation[:, 2], pose.position_mm - first.position_mm
+    return float(np.linalg.norm(apart - (apart @ axis) * axis)) < apart_mm

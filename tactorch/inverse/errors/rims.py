@@ -65,7 +65,6 @@ def _responses(
     rim: Int[np.ndarray, " nodes"],
 ) -> Float[np.ndarray, "p edges"]:
     """Return the changes of the data (mm) of a press by the errors at each edge of the rim."""
-    case = evaluation.sensitivities[press]
     discretisation = evaluation.search(press).assembly.discretisation
     loaded = LoadedSurface.of(discretisation.mesh.surface, forces)
     ends, areas = rim_edges(loaded, rim)
@@ -73,23 +72,17 @@ def _responses(
     columns = []
     for part in np.array_split(np.arange(len(ends)), max(1, len(ends) // _AT_ONCE)):
         loads = _midside_loads(discretisation, ends[part], areas[part], traction)
-        moved = case.linearization.force_response(loads)
-        columns += [case.observe(u) for u in moved]
-    return np.column_stack(columns)
+        columns.append(evaluation.response_to_loads(press, loads))
+    return np.hstack(columns)
 
 
 def rim_edges(
     loaded: LoadedSurface, rim: Int[np.ndarray, " nodes"]
 ) -> tuple[Int[np.ndarray, "edges 2"], Float[np.ndarray, " edges"]]:
-    """Return the edges of the loaded triangles with a node at the rim.
+    """Return the ends of the edges of loaded triangles with a node at the rim, and their areas.
 
-    Args:
-        loaded: Loaded triangles.
-        rim: Nodes at the rim.
-
-    Returns:
-        End points of each edge, and the integral of the shape function of its midpoint over these
-        triangles, a third of their area, mm^2.
+    The area of an edge is the integral of the shape function of its midpoint over these triangles,
+    a third of theirs, mm^2.
     """
     beside = np.isin(loaded.triangles, rim).any(axis=1)
     triangles, thirds = loaded.triangles[beside], loaded.areas[beside] / 3.0

@@ -58,12 +58,8 @@ def smooth_error_patterns(
 ) -> Float[np.ndarray, "data k"]:
     """Return patterns of errors of relative standard deviation one.
 
-    Args:
-        contacts_mm: Contact point of each place.
-        place_of: Place of each datum.
-        depths_mm: Depth of the ball of each datum.
-        forces: Predicted force of each datum, in standard deviations of the white noise.
-        border_mm: Distance from the border of the palpated area within which errors are larger.
+    Predicted forces are in standard deviations of the white noise. Errors are larger within
+    `border_mm` of the border of the palpated area.
     """
     modes = _modes(contacts_mm)
     near = np.exp(-0.5 * (border_distances(contacts_mm) / border_mm) ** 2)

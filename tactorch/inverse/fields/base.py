@@ -169,6 +169,4 @@ class _ElementPoint(FieldPoint):
     def second_derivative_times(
         self, weights: Float[np.ndarray, " elements"], change: Vector
     ) -> Vector:
-        if self.field.groups is not None:
-            raise ConfigError("the full Hessian needs a coefficient for each element.")
         return self.field.parameterization.second_derivative(self.x) * weights * change

@@ -12,19 +12,12 @@ from tactorch.mesh.surfaces import TriangleSurface
 
 
 class Parameters(NamedTuple):
-    """Parameters of an inclusion, or of each of several draws of it.
+    """Parameters of an inclusion, or of each of several draws of it."""
 
-    Attributes:
-        center: Centre, mm.
-        log_radius: Logarithm of the radius (mm) of the ball of the same volume.
-        log_contrast: Logarithm of Young's modulus over that of the background.
-        distortions: Parameters of the family beside them.
-    """
-
-    center: Float[np.ndarray, "*draws 3"]
-    log_radius: Float[np.ndarray, " *draws"]
-    log_contrast: Float[np.ndarray, " *draws"]
-    distortions: Float[np.ndarray, "*draws k"]
+    center: Float[np.ndarray, "*draws 3"]  # mm
+    log_radius: Float[np.ndarray, " *draws"]  # log mm, of the ball of the same volume
+    log_contrast: Float[np.ndarray, " *draws"]  # of Young's modulus over that of the background
+    distortions: Float[np.ndarray, "*draws k"]  # parameters of the family beside them
 
     @staticmethod
     def of(values: Float[np.ndarray, "*draws parameters"]) -> "Parameters":

@@ -1,8 +1,6 @@
 """Prior of the parameters of inclusions and backgrounds."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -39,14 +37,3 @@ class ShapePrior:
         """Return the prior for a body whose best uniform modulus is given."""
         low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
         return ShapePrior(low, high, float(np.cbrt(mesh.volumes.sum())), np.log(background_mpa))
-
-    def plain(self) -> dict[str, Any]:
-        """Return plain JSON values; the inverse of `of_plain`."""
-        return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
-
-    @staticmethod
-    def of_plain(plain: Mapping[str, Any]) -> "ShapePrior":
-        """Return the prior from plain JSON values."""
-        values: dict[str, Any] = dict(plain)
-        low, high = (np.array(values.pop(name)) for name in ("low_mm", "high_mm"))
-        return ShapePrior(low, high, **values)

@@ -10,8 +10,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError
+from tactorch.inverse.data.plain import to_plain, with_arrays
 from tactorch.inverse.fields import strength
 from tactorch.inverse.fields.background import Background
+from tactorch.inverse.fields.base import Vector
 from tactorch.inverse.fields.family import FAMILIES, Family
 from tactorch.inverse.fields.inclusion import InclusionShape, Parameters
 from tactorch.inverse.fields.prior import ShapePrior
@@ -42,7 +44,7 @@ class ShapeField:
     def plain(self) -> dict[str, Any]:
         """Return plain JSON values; the inverse of `of`."""
         return {
-            "prior": self.prior.plain(),
+            "prior": to_plain(self.prior),
             "families": [family.name for family in self.families],
             "degree": self.background.degree,
             "layers": list(self.background.layers),
@@ -65,7 +67,7 @@ class ShapeField:
         names = ["ellipsoid" if distorted else "ball" for distorted in plain.get("distorted", ())]
         families = tuple(FAMILIES[name] for name in plain.get("families", names))
         background = Background(plain["degree"], tuple(plain.get("layers", (0, 0, 0))))
-        return ShapeField(ShapePrior.of_plain(plain["prior"]), families, background)
+        return ShapeField(ShapePrior(**with_arrays(plain["prior"])), families, background)
 
     @property
     def _terms(self) -> tuple[Background | Family, ...]:
@@ -83,7 +85,7 @@ class ShapeField:
         return len(self._scale[0])
 
     @property
-    def deviation(self) -> Float[np.ndarray, " size"]:
+    def deviation(self) -> Vector:
         """Standard deviations of the prior, mm and logarithms."""
         return self._scale[1]
 
@@ -113,9 +115,7 @@ class ShapeField:
         """Return the parameters of an inclusion from all, in mm and logarithms."""
         return Parameters.of(values[..., self.parts[inclusion]])
 
-    def _inclusions(
-        self, values: Float[np.ndarray, " size"]
-    ) -> Iterator[tuple[Family, Parameters, slice]]:
+    def _inclusions(self, values: Vector) -> Iterator[tuple[Family, Parameters, slice]]:
         for k, (family, part) in enumerate(zip(self.families, self.parts, strict=True)):
             yield family, self.own(values, k), part
 
@@ -129,9 +129,7 @@ class ShapeField:
         mean, deviation = self._scale
         return (values - mean) / deviation
 
-    def moved(
-        self, z: Float[np.ndarray, " size"], step: Float[np.ndarray, " size"]
-    ) -> Float[np.ndarray, " size"]:
+    def moved(self, z: Vector, step: Vector) -> Vector:
         """Return the parameters after a step, on which the data depend nearly linearly.
 
         Steps of squared radii and strengths of inclusions are straight, see
@@ -143,9 +141,7 @@ class ShapeField:
             new[logs] = strength.moved(values[logs], change[logs])
         return self.standard(new)
 
-    def changed(
-        self, z: Float[np.ndarray, " size"], **changes: Any
-    ) -> tuple["ShapeField", Float[np.ndarray, " size"]]:
+    def changed(self, z: Vector, **changes: Any) -> tuple["ShapeField", Vector]:
         """Return the field with another prior, background or families, and its parameters.
 
         Those of the same name remain, in mm and logarithms, and others are zero.
@@ -157,12 +153,12 @@ class ShapeField:
             new += [known.get(name, 0.0) for name in changed.parameters]
         return other, other.standard(np.array(new))
 
-    def shapes(self, z: Float[np.ndarray, " size"]) -> Iterator[InclusionShape]:
+    def shapes(self, z: Vector) -> Iterator[InclusionShape]:
         """Yield the inclusions."""
         for family, own, _ in self._inclusions(self.physical(z)):
             yield family.shape(own)
 
-    def excess(self, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, " sides"]:
+    def excess(self, z: Vector) -> Float[np.ndarray, " sides"]:
         """Return how far inclusions extend beyond each side of the box, in standard deviations.
 
         There are six values for each inclusion where the prior restricts them, and otherwise none.
@@ -174,18 +170,16 @@ class ShapeField:
             found.append(np.maximum(np.concatenate(beyond), 0.0) / prior.outside_mm)
         return np.concatenate(found)
 
-    def penalty(self, z: Float[np.ndarray, " size"]) -> float:
+    def penalty(self, z: Vector) -> float:
         """Return minus the log-density of the prior, up to a constant of the family."""
         excess = self.excess(z)
         return 0.5 * float(z @ z + excess @ excess)
 
-    def excess_jacobian(self, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, "sides size"]:
+    def excess_jacobian(self, z: Vector) -> Float[np.ndarray, "sides size"]:
         """Return the derivative of `excess` by the parameters, by central differences."""
         steps = _STEP * np.eye(self.size)
-        columns = [
-            (self.excess(z + step) - self.excess(z - step)) / (2.0 * _STEP) for step in steps
-        ]
-        return np.stack(columns, axis=1)
+        changes = [self.excess(z + step) - self.excess(z - step) for step in steps]
+        return np.stack(changes, axis=1) / (2.0 * _STEP)
 
     def log_background(
         self, values: Float[np.ndarray, "k size"], points: Float[np.ndarray, "k 3"]
@@ -203,7 +197,7 @@ class ShapeField:
 
     def log_youngs(
         self,
-        z: Float[np.ndarray, " size"],
+        z: Vector,
         sites: Sites,
         fractions: Sequence[Float[np.ndarray, " elements"]] = (),
     ) -> np.ndarray:
@@ -221,7 +215,7 @@ class ShapeField:
                 out[near] += change
         return out
 
-    def jacobian(self, z: Float[np.ndarray, " size"], sites: Sites) -> np.ndarray:
+    def jacobian(self, z: Vector, sites: Sites) -> np.ndarray:
         """Return the derivative of `log_youngs` by the parameters, (volumes, size)."""
         out = np.zeros((len(sites.points), self.size))
         out[:, : self.n_background] = self._background(sites)

@@ -36,17 +36,11 @@ def largest_depth(pose: ProbePose, mesh: TetMesh) -> float:
 
 
 class Footprint(NamedTuple):
-    """Where a probe touches the undeformed surface.
+    """Where a probe touches the undeformed surface."""
 
-    Attributes:
-        points: Points of the touched part, mm.
-        rim: Those of them at its rim.
-        radius_mm: Radius of a disc of its area.
-    """
-
-    points: Float[np.ndarray, "k 3"]
-    rim: Float[np.ndarray, "r 3"]
-    radius_mm: float
+    points: Float[np.ndarray, "k 3"]  # of the touched part, mm
+    rim: Float[np.ndarray, "r 3"]  # those of them at its rim
+    radius_mm: float  # of a disc of its area
 
     @staticmethod
     def of(pose: ProbePose, mesh: TetMesh) -> "Footprint":

@@ -26,7 +26,14 @@ from tactorch.inverse.data.observations import (
     Observation,
     group_by_contact,
 )
-from tactorch.inverse.forward.problem import Evaluation, InverseProblem
+from tactorch.inverse.forward.problem import (
+    Changes,
+    Columns,
+    Evaluation,
+    InverseProblem,
+    Moduli,
+    NodalFields,
+)
 from tactorch.mesh.closest import closest_points
 from tactorch.recording import Press, ProbePose, Recording
 
@@ -62,45 +69,6 @@ def _is_by_ball(press: Press) -> bool:
     return isinstance(pose.probe, Ball) and not force.axes[:, 3:].any()
 
 
-class PlaceErrors(CorrelatedNoise):
-    """Errors of unknown size that are common to the data of one place each.
-
-    Args:
-        sizes: Error of each datum by an error of unit standard deviation, in standard deviations
-            of the white noise.
-        places: Place of each datum.
-    """
-
-    def __init__(self, sizes: Float[np.ndarray, " data"], places: Int[np.ndarray, " data"]) -> None:
-        self._sizes, self._places = sizes, places
-        count = int(places.max()) + 1
-        self._rows = sp.csr_matrix((sizes, (places, np.arange(len(sizes)))), (count, len(sizes)))
-        variances = 1.0 + np.bincount(places, sizes**2, count)
-        self._factors = 1.0 / (variances + np.sqrt(variances))
-        self._determinant = float(np.log(variances).sum())
-
-    @property
-    def patterns(self) -> Float[np.ndarray, "data k"]:  # type: ignore[override]
-        """Patterns of the errors, one for each place."""
-        return np.asarray(self._rows.T.toarray())
-
-    @property
-    def log_determinant(self) -> float:
-        """Logarithm of the determinant of the covariance of the residuals."""
-        return self._determinant
-
-    def widened(self, factors: Float[np.ndarray, " data"]) -> "PlaceErrors":
-        """Return the same errors relative to white noise that is `factors` times as large."""
-        return PlaceErrors(self._sizes / factors, self._places)
-
-    def whiten(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
-        """Return whitened residuals or their derivatives; the operator is symmetric."""
-        inner = self._rows @ values
-        scaled = self._factors.reshape(-1, *(1,) * (values.ndim - 1)) * inner
-        whitened: np.ndarray = values - self._rows.T @ scaled
-        return whitened
-
-
 class PalpationEvaluation(Evaluation):
     """All presses of a palpation at one map of moduli; see `Evaluation`."""
 
@@ -108,30 +76,7 @@ class PalpationEvaluation(Evaluation):
         self, problem: "PalpationProblem", body: IndentedBody, forces: BallForces, data: DataModel
     ) -> None:
         self._problem, self._body, self._forces = problem, body, forces
-        self.derivative_rtol = 0.0
-        self._presses = []
-        self.youngs, self.nuisance = body.youngs, problem.assumed
-        self.data, self._misfit, self._begins = data, data.misfit, data.begins
-        observed = np.concatenate([o.values for o in data.observations])
-        difference = problem.directions * forces.force_n[problem.press_of] - observed
-        self.misfit_mm2 = 0.0  # no displacement is observed
-        self._white = data.whiten(difference * data.scale)
-        self.residuals = self._misfit.residuals(self._white, self._begins)
-
-    @property
-    def forces(self) -> BallForces:
-        """Force on the ball along the outward normal of each press."""
-        return self._forces
-
-    @property
-    def displacements(self) -> list[Float[np.ndarray, "nodes 3"]]:
-        """Displacements are not kept; the list is empty."""
-        return []
-
-    @property
-    def reported(self) -> list[Float[np.ndarray, "n 3"]]:
-        """Nothing, as the sensor reports forces."""
-        return []
+        super().__init__(body.youngs, problem.assumed, np.zeros((0, 3)), [], data)
 
     @property
     def predicted(self) -> list[Float[np.ndarray, " _"]]:
@@ -154,11 +99,6 @@ class PalpationEvaluation(Evaluation):
     def factor(self) -> None:
         """Do nothing: equilibria of linear elasticity are stable."""
 
-    @property
-    def _rates(self) -> Float[np.ndarray, "rows moduli"]:
-        """Minus the rates of the compliance, one row for each pair of profiles and place."""
-        return self._body.rates
-
     @cached_property
     def _chain(self) -> sp.csr_matrix:
         """Derivatives of the data, in their units, by minus the compliance of all places."""
@@ -171,50 +111,28 @@ class PalpationEvaluation(Evaluation):
         shape = (len(of), count * pairs)
         return sp.csr_matrix((values.ravel(), (rows, columns.ravel())), shape)
 
-    def _whitened(self, columns: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
-        return self._misfit.derivative(self._white, self._begins, self.data.whiten(columns))
-
     def jacobian(self) -> Float[np.ndarray, "data moduli"]:
         """Return d residuals / d youngs, 1/MPa."""
-        return self._whitened(np.asarray(self._chain @ self._rates, dtype=np.float64))
+        return self._of_residuals(np.asarray(self._chain @ self._body.rates, dtype=np.float64))
 
-    def jacobian_times(self, change: Float[np.ndarray, "m *q"]) -> Float[np.ndarray, " data"]:
+    def jacobian_times(self, change: Moduli) -> Float[np.ndarray, " data"]:
         """Return the change of the residuals by a change of the moduli (MPa)."""
-        moved = self._rates @ change.ravel().astype(np.float32)
-        return self._whitened(self._chain @ moved.astype(np.float64))
+        moved = self._body.rates @ change.ravel().astype(np.float32)
+        return self._of_residuals(self._chain @ moved.astype(np.float64))
 
-    def jacobian_times_each(
-        self, changes: Float[np.ndarray, "k moduli"]
-    ) -> Float[np.ndarray, "data k"]:
-        """Return the change of the residuals by each of several changes of the moduli (MPa)."""
-        moved = self._body.compliance_changes(changes.reshape(len(changes), -1))
-        return self._whitened(self._chain @ moved)
-
-    def linear_response(
-        self, changes: Float[np.ndarray, "k moduli"]
-    ) -> tuple[Float[np.ndarray, "data k"], list[Float[np.ndarray, "k nodes 3"]]]:
+    def linear_response(self, changes: Changes) -> tuple[Columns, list[NodalFields]]:
         """Return `jacobian_times_each`; displacements are not kept."""
-        return self.jacobian_times_each(changes), []
+        moved = self._body.compliance_changes(changes.reshape(len(changes), -1))
+        return self._of_residuals(self._chain @ moved), []
 
-    def moved(
-        self, changes: Sequence[Float[np.ndarray, "nodes 3"]]
-    ) -> list[Float[np.ndarray, "nodes 3"]]:
-        """Return nothing: the equilibria are linear."""
-        return []
-
-    def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, "m *q"]:
+    def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Moduli:
         """Return the transpose of d residuals / d youngs times `weights`."""
-        white = self.data.whiten(self._misfit.derivative(self._white, self._begins, weights))
-        rows = (self._chain.T @ white).astype(np.float32)
-        return (self._rates.T @ rows).astype(np.float64).reshape(self.youngs.shape)
+        rows = (self._chain.T @ self._of_data(weights)).astype(np.float32)
+        return (self._body.rates.T @ rows).astype(np.float64).reshape(self.youngs.shape)
 
-    def second_order_times(self, change: Float[np.ndarray, "m *q"]) -> Float[np.ndarray, "m *q"]:
+    def second_order_times(self, change: Moduli) -> Moduli:
         """Not known."""
         raise ConfigError("The exact Hessian is not known for presses by a probe.")
-
-    def predict(self, youngs: Float[np.ndarray, "m *q"]) -> list[Float[np.ndarray, "nodes 3"]]:
-        """Return nothing: the equilibria are linear."""
-        return []
 
 
 class PalpationProblem(InverseProblem):
@@ -241,22 +159,20 @@ class PalpationProblem(InverseProblem):
                 f"{', '.join(self.nuisance.names)}: nuisance parameters are not estimated with a "
                 "palpation; leave them out."
             )
-        poses = [press.probe for press in recording.presses]
-        self.places, first = group_places([pose for pose in poses if pose is not None])
+        self._poses = [press.probe for press in recording.presses if press.probe is not None]
+        self._measured = [press.force for press in recording.presses if press.force is not None]
+        self.places, first = group_places(self._poses)
         self._set_places(first)
         counts = self.data.counts
         self.press_of = np.repeat(np.arange(len(counts)), counts)
-        self.directions = np.concatenate([
-            press.force.axes[:, :3] @ press.probe.rotation[:, 2]
-            for press in recording.presses
-            if press.force is not None and press.probe is not None
-        ])  # fmt: skip
+        pairs = zip(self._measured, self._poses, strict=True)
+        parts = [force.axes[:, :3] @ pose.rotation[:, 2] for force, pose in pairs]
+        self.directions = np.concatenate(parts)
         self.data = self._with_errors(self.data)
 
     def _set_places(self, first: Int[np.ndarray, " places"]) -> None:
         """Find the contact point of each place, and the depth of each press."""
-        mesh, presses = self.recording.mesh, self.recording.presses
-        poses: list[ProbePose] = [p.probe for p in presses if p.probe is not None]
+        mesh, presses, poses = self.recording.mesh, self.recording.presses, self._poses
         normals = np.array([pose.rotation[:, 2] for pose in poses])
         radii = np.array([pose.probe.sizes[0] for pose in poses])
         lowest = np.array([pose.position_mm for pose in poses]) - radii[:, None] * normals
@@ -282,28 +198,22 @@ class PalpationProblem(InverseProblem):
 
     def _with_errors(self, data: DataModel) -> DataModel:
         """Return the data with errors of the contact, and of the depths of each place."""
-        observations, sizes = [], []
-        stiffness = self._measured_stiffness()
-        for i, (press, observation) in enumerate(
-            zip(self.recording.presses, data.observations, strict=True)
-        ):
+        observations, stiffness = [], self._measured_stiffness()
+        for observation in data.observations:
             error = _CONTACT_ERROR * float(np.linalg.norm(observation.values))
             scale = 1.0 / np.hypot(1.0 / observation.scale, error)
             observations.append(replace(observation, scale=scale))
-            deviation = press.probe.deviation_mm if press.probe is not None else 0.0
-            sizes.append(np.full(len(scale), deviation * stiffness[i]) * scale)
-        places = self.places[self.press_of]
-        values = np.concatenate(sizes) * self.directions
-        noise = PlaceErrors(values, places) if values.any() else None
-        return replace(data, observations=tuple(observations), correlated=noise)
+        data = replace(data, observations=tuple(observations))
+        deviations = stiffness * [pose.deviation_mm for pose in self._poses]
+        sizes = deviations[self.press_of] * data.scale * self.directions
+        if not sizes.any():
+            return data
+        rows = np.arange(len(sizes)), self.places[self.press_of]
+        return replace(data, correlated=CorrelatedNoise(sp.csr_matrix((sizes, rows))))
 
     def _measured_stiffness(self) -> Float[np.ndarray, " presses"]:
         """Slope of the measured force by the depth at each press, N/mm."""
-        forces = np.array([
-            float(np.linalg.norm(press.force.values))
-            for press in self.recording.presses
-            if press.force is not None
-        ])  # fmt: skip
+        forces = np.array([np.linalg.norm(force.values) for force in self._measured])
         slopes = np.zeros(len(forces))
         for place in np.unique(self.places):
             here = np.flatnonzero(self.places == place)
@@ -336,12 +246,7 @@ class PalpationProblem(InverseProblem):
             )
         return ratio
 
-    def evaluate(
-        self,
-        youngs: Float[np.ndarray, "m *q"],
-        *_near: Any,
-        **_options: Any,
-    ) -> PalpationEvaluation:
+    def evaluate(self, youngs: Moduli, *_near: Any, **_options: Any) -> PalpationEvaluation:
         """Return all presses at these moduli; the other arguments have no effect."""
         check_youngs(youngs, self.body.assembly.weights.shape)
         self.evaluations += 1

@@ -12,17 +12,11 @@ from tactorch.recording import Press, Recording
 
 
 class Predictions(NamedTuple):
-    """Predictions of all presses, corrected for the errors of the model that were estimated.
+    """Predictions of all presses, corrected for the errors of the model that were estimated."""
 
-    Attributes:
-        displacements: Displacement of the nodes of the recording's mesh, mm; none of a palpation.
-        data: Predicted data (mm, N, N mm), those of each press in the order of its `Observation`.
-        residuals: Predicted less observed data, in standard deviations.
-    """
-
-    displacements: Float[np.ndarray, "presses n 3"]
-    data: Float[np.ndarray, " data"]
-    residuals: Float[np.ndarray, " data"]
+    displacements: Float[np.ndarray, "presses n 3"]  # mm, on the recording's mesh; or no presses
+    data: Float[np.ndarray, " data"]  # mm, N and N mm, in the order of each press's `Observation`
+    residuals: Float[np.ndarray, " data"]  # predicted less observed, in standard deviations
 
     @staticmethod
     def of(evaluation: Evaluation, recording: Recording) -> "Predictions":

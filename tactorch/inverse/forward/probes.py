@@ -65,21 +65,12 @@ class PressReadings:
         return np.vstack(parts)
 
 
-def make_contacts(recording: Recording, body: SoftBody, modulus_mpa: float) -> list[Contact | None]:
-    """Return the contact of each press with its probe; None without one.
-
-    Args:
-        recording: The presses.
-        body: The body.
-        modulus_mpa: Modulus for the stiffness of the contacts.
+def make_contact(press: Press, body: SoftBody, modulus: float) -> Contact | None:
+    """Return the contact of a press with its probe, of a stiffness by a modulus (MPa), or None.
 
     Raises:
         ConfigError: a probe does not touch the body; names the press.
     """
-    return [_contact(press, body, modulus_mpa) for press in recording.presses]
-
-
-def _contact(press: Press, body: SoftBody, modulus: float) -> Contact | None:
     pose = press.probe
     if pose is None:
         return None
@@ -124,7 +115,7 @@ def _unit_forces(press: Press, body: SoftBody) -> tuple[np.ndarray, np.ndarray]:
     assert press.force is not None
     supports = Supports(press.fixed, press.prescribed, press.springs)
     uniform, nothing = np.ones(body.mesh.n_tets), np.zeros((body.n_nodes, 3))
-    search = body.search(uniform, nothing, supports, contact=_contact(press, body, 1.0))
+    search = body.search(uniform, nothing, supports, contact=make_contact(press, body, 1.0))
     result = search.run()
     if not result.converged:
         raise ConvergenceError(f"{press.label}: {result.reason}")

@@ -26,10 +26,16 @@ from tactorch.fem.elements import ConsistentLoads
 from tactorch.inverse.data.misfit import Misfit, Squares
 from tactorch.inverse.data.nuisance import Nuisance, NuisancePrior, PressModel
 from tactorch.inverse.data.observations import DataModel, NoiseModel, Observation
-from tactorch.inverse.forward.probes import PressReadings, apparent_mpa, make_contacts
+from tactorch.inverse.forward.probes import PressReadings, apparent_mpa, make_contact
 from tactorch.linalg import SharedLease, SolverOptions, map_cases
 from tactorch.linalg.parallel import worker_count
 from tactorch.recording import Recording
+
+Moduli = Float[np.ndarray, "m *q"]  # by element, or by quadrature point of each element
+Changes = Float[np.ndarray, "k moduli"]  # several changes of moduli
+Columns = Float[np.ndarray, "data k"]  # changes of the data
+NodalField = Float[np.ndarray, "nodes 3"]
+NodalFields = Float[np.ndarray, "k nodes 3"]
 
 _MAX_RELATIVE_CHANGE = 0.5  # of a modulus, for which du/de predicts u
 
@@ -60,9 +66,9 @@ class _PressSolution:
 class _LinearResponse(NamedTuple):
     """Changes of the data (mm or N) and displacements (mm) of each press by changes of moduli."""
 
-    changes: Float[np.ndarray, "k moduli"]
+    changes: Changes
     columns: tuple[Float[np.ndarray, "_ k"], ...]
-    fields: tuple[Float[np.ndarray, "k nodes 3"], ...]
+    fields: tuple[NodalFields, ...]
 
 
 class Evaluation:
@@ -79,9 +85,9 @@ class Evaluation:
 
     def __init__(
         self,
-        youngs: Float[np.ndarray, "m *q"],
+        youngs: Moduli,
         nuisance: Nuisance,
-        weight: Float[np.ndarray, "nodes 3"],
+        weight: NodalField,
         presses: list[_PressSolution],
         data: DataModel,
         derivative_rtol: float = 0.0,
@@ -109,7 +115,7 @@ class Evaluation:
         return np.split(self._white, self._begins[1:])
 
     @property
-    def displacements(self) -> list[Float[np.ndarray, "nodes 3"]]:
+    def displacements(self) -> list[NodalField]:
         """Predicted displacement of each press, mm."""
         return [press.equilibrium.displacement for press in self._presses]
 
@@ -165,7 +171,7 @@ class Evaluation:
         parts = map_cases(lambda i: cases[i].matrix() * data[i].scale[:, None], len(cases))
         return self._join(parts)
 
-    def nuisance_jacobian(self, names: tuple[str, ...]) -> Float[np.ndarray, "data k"]:
+    def nuisance_jacobian(self, names: tuple[str, ...]) -> Columns:
         """Return d residuals / d nuisance parameters, by one solve per component and press.
 
         For scales the derivative is by the logarithm. Rotation is by the vector's components.
@@ -195,9 +201,7 @@ class Evaluation:
 
         return self._join(map_cases(work, len(cases)))
 
-    def _loads(
-        self, press: _PressSolution, changes: Sequence[Float[np.ndarray, "n 3"]]
-    ) -> list[Float[np.ndarray, "nodes 3"]]:
+    def _loads(self, press: _PressSolution, changes: Sequence[np.ndarray]) -> list[NodalField]:
         """Return the loads of all nodes by changes of a press's nodal forces, N."""
         discretisation = press.newton.assembly.discretisation
         if not discretisation.element.quadratic:
@@ -206,21 +210,17 @@ class Evaluation:
         loads = ConsistentLoads.of(discretisation, press.model.forces)
         return [loads.apply(change) for change in changes]
 
-    def jacobian_times(self, change: Float[np.ndarray, "m *q"]) -> Float[np.ndarray, " data"]:
+    def jacobian_times(self, change: Moduli) -> Float[np.ndarray, " data"]:
         """Return the change of the residuals by a change of the moduli (MPa)."""
         cases, data = self.sensitivities, self.data.observations
         return self._join(map_cases(lambda i: cases[i].times(change) * data[i].scale, len(cases)))
 
-    def jacobian_times_each(
-        self, changes: Float[np.ndarray, "k moduli"]
-    ) -> Float[np.ndarray, "data k"]:
+    def jacobian_times_each(self, changes: Changes) -> Columns:
         """Return the change of the residuals by each of several changes of the moduli (MPa)."""
         columns, _ = self.linear_response(changes)
         return columns
 
-    def linear_response(
-        self, changes: Float[np.ndarray, "k moduli"]
-    ) -> tuple[Float[np.ndarray, "data k"], list[Float[np.ndarray, "k nodes 3"]]]:
+    def linear_response(self, changes: Changes) -> tuple[Columns, list[NodalFields]]:
         """Return `jacobian_times_each`, and the change of the displacement of each press (mm).
 
         The last response is kept, also by `with_data`, for the same changes.
@@ -238,9 +238,7 @@ class Evaluation:
         scaled = [columns * observation.scale[:, None] for columns, observation in pairs]
         return self._join(scaled), list(self._response.fields)
 
-    def moved(
-        self, changes: Sequence[Float[np.ndarray, "nodes 3"]]
-    ) -> list[Float[np.ndarray, "nodes 3"]]:
+    def moved(self, changes: Sequence[NodalField]) -> list[NodalField]:
         """Return the displacements of all presses plus changes (mm) that invert no element."""
 
         def work(i: int) -> np.ndarray:
@@ -256,7 +254,7 @@ class Evaluation:
         The motion is along the axes of the mesh, the unit that of the standard deviations; there
         are no columns without a probe.
         """
-        cases, data = self.sensitivities, self.data.observations
+        data = self.data.observations
 
         def work(i: int) -> np.ndarray:
             press, scale = self._presses[i], data[i].scale[:, None]
@@ -266,33 +264,34 @@ class Evaluation:
             motions = np.tile(np.eye(3), (self._weight.shape[0], 1))
             tangent = contact.tangent(contact.at(press.equilibrium.displacement))
             forces = (tangent @ motions).T.reshape(3, -1, 3)
-            moved = cases[i].linearization.force_response(np.ascontiguousarray(forces))
-            columns = np.column_stack([cases[i].observe(field) for field in moved])
-            columns[len(data[i].index) :] += press.readings.by_motion(
-                press.newton, press.equilibrium
-            )
+            columns = self.response_to_loads(i, np.ascontiguousarray(forces))
+            direct = press.readings.by_motion(press.newton, press.equilibrium)
+            columns[len(data[i].index) :] += direct
             return columns * scale
 
-        return map_cases(work, len(cases))
+        return map_cases(work, len(self.sensitivities))
 
-    def load_response(
-        self, number: int, changes: Sequence[Float[np.ndarray, "n 3"]]
-    ) -> Float[np.ndarray, "data k"]:
+    def load_response(self, number: int, changes: Sequence[Float[np.ndarray, "n 3"]]) -> Columns:
         """Return the changes of the data of a press by changes of its nodal forces, N.
 
         The unit is that of the standard deviations.
         """
-        case, scale = self.sensitivities[number], self.data.observations[number].scale
         loads = np.array(self._loads(self._presses[number], changes))
-        moved = case.linearization.force_response(loads)
-        return np.column_stack([case.observe(u) * scale for u in moved])
+        scale = self.data.observations[number].scale[:, None]
+        return self.response_to_loads(number, loads) * scale
 
-    def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, "m *q"]:
+    def response_to_loads(self, number: int, loads: NodalFields) -> Columns:
+        """Return the changes of the data of a press (mm or N) by loads of all nodes, N."""
+        case = self.sensitivities[number]
+        moved = case.linearization.force_response(loads)
+        return np.column_stack([case.observe(u) for u in moved])
+
+    def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Moduli:
         """Return the transpose of d residuals / d youngs times `weights`."""
         parts, cases = self._split(weights), self.sensitivities
         return np.sum(map_cases(lambda i: cases[i].transpose_times(parts[i]), len(parts)), axis=0)
 
-    def gradient(self) -> Float[np.ndarray, "m *q"]:
+    def gradient(self) -> Moduli:
         """Return the gradient of half the sum of squared residuals, by one adjoint solve per press.
 
         This is eq. (9) to (13), without the paper's second minus.
@@ -300,12 +299,12 @@ class Evaluation:
         return self.transpose_times(self.residuals)
 
     @cached_property
-    def _adjoints(self) -> list[Float[np.ndarray, "nodes 3"]]:
+    def _adjoints(self) -> list[NodalField]:
         """Adjoint displacement of each press for the residuals, 1/N."""
         parts, cases = self._split(self.residuals), self.sensitivities
         return map_cases(lambda i: cases[i].adjoint(parts[i]), len(parts))
 
-    def second_order_times(self, change: Float[np.ndarray, "m *q"]) -> Float[np.ndarray, "m *q"]:
+    def second_order_times(self, change: Moduli) -> Moduli:
         """Return the part of the misfit's Hessian that Gauss-Newton omits times a change (MPa).
 
         It takes one solve per press more than the two of Gauss-Newton; see
@@ -323,18 +322,23 @@ class Evaluation:
         pairs = zip(self.sensitivities, self._adjoints, strict=True)
         return np.sum([s.linearization.second_order(a, change) for s, a in pairs], axis=0)
 
+    def _of_residuals(self, data: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
+        """Derivatives of the residuals from those of the data in standard deviations."""
+        return self._misfit.derivative(self._white, self._begins, self.data.whiten(data))
+
+    def _of_data(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " data"]:
+        """Weights of the residuals as weights of the data in standard deviations."""
+        return self.data.whiten(self._misfit.derivative(self._white, self._begins, weights))
+
     def _join(self, parts: list[np.ndarray]) -> Float[np.ndarray, "data *k"]:
         """Derivatives of the residuals from those of each press in standard deviations."""
-        white = self.data.whiten(np.concatenate(parts))
-        return self._misfit.derivative(self._white, self._begins, white)
+        return self._of_residuals(np.concatenate(parts))
 
     def _split(self, weights: Float[np.ndarray, " data"]) -> list[Float[np.ndarray, " p"]]:
         """Weights of the residuals as weights of the data of each press, 1 over their unit."""
-        white = self.data.whiten(self._misfit.derivative(self._white, self._begins, weights))
-        parts = zip(np.split(white, self._begins[1:]), self.data.observations, strict=True)
-        return [part * observation.scale for part, observation in parts]
+        return np.split(self._of_data(weights) * self.data.scale, self._begins[1:])
 
-    def predict(self, youngs: Float[np.ndarray, "m *q"]) -> list[Float[np.ndarray, "nodes 3"]]:
+    def predict(self, youngs: Moduli) -> list[NodalField]:
         """Predict the displacements at other moduli.
 
         To first order where the change is small and the presses are linearised already.
@@ -415,14 +419,9 @@ class InverseProblem:
     def _share(self) -> list[SharedLease]:
         """Return the factorisations that each press shares with those of the same supports."""
         single = not self.body.assembly.material.allows_inversion
-        leases: dict[bytes, SharedLease] = {}
-        shared = []
-        for press in self.recording.presses:
-            key = press.fixed.tobytes() + press.springs.tobytes()
-            if key not in leases:
-                leases[key] = SharedLease(self.body.pool, single)
-            shared.append(leases[key])
-        return shared
+        keys = [p.fixed.tobytes() + p.springs.tobytes() for p in self.recording.presses]
+        leases = {key: SharedLease(self.body.pool, single) for key in set(keys)}
+        return [leases[key] for key in keys]
 
     def _check_nuisance(self) -> None:
         """Refuse nuisance parameters that probes and other readings do not have."""
@@ -437,9 +436,8 @@ class InverseProblem:
     @cached_property
     def _contacts(self) -> list[Contact | None]:
         """Contact of each press with its probe."""
-        if not self.recording.has_probes:
-            return [None] * len(self.recording.presses)
-        return make_contacts(self.recording, self.body, self.contact_mpa)
+        modulus = self.contact_mpa if self.recording.has_probes else 0.0
+        return [make_contact(press, self.body, modulus) for press in self.recording.presses]
 
     @cached_property
     def contact_mpa(self) -> float:
@@ -469,12 +467,12 @@ class InverseProblem:
 
     def evaluate(
         self,
-        youngs: Float[np.ndarray, "m *q"],
+        youngs: Moduli,
         near: Evaluation | None = None,
         nuisance: Nuisance | None = None,
         take_over: bool = False,
         chained: bool = False,
-        starts: Sequence[Float[np.ndarray, "nodes 3"]] | None = None,
+        starts: Sequence[NodalField] | None = None,
     ) -> Evaluation:
         """Solve all presses at these moduli, in parallel.
 
@@ -521,20 +519,17 @@ class InverseProblem:
 
         self.evaluations += 1
         count = len(self.data.observations)
-        if chained:
-            chains = np.array_split(np.arange(count), min(worker_count(), count))
+        parts = min(worker_count(), count) if chained else count
+        chains = np.array_split(np.arange(count) if chained else self._order, parts)
 
-            def in_turn(k: int) -> list[_PressSolution]:
-                found: list[_PressSolution] = []
-                for i in chains[k]:
-                    found.append(work(int(i), found[-1].newton if found else None))
-                return found
+        def in_turn(k: int) -> list[tuple[int, _PressSolution]]:
+            found: list[tuple[int, _PressSolution]] = []
+            for i in chains[k].tolist():
+                found.append((i, work(i, found[-1][1].newton if found else None)))
+            return found
 
-            solutions = [one for part in map_cases(in_turn, len(chains)) for one in part]
-        else:
-            order = self._order
-            found = map_cases(lambda k: work(int(order[k])), count)
-            solutions = [found[k] for k in np.argsort(order)]
+        found = dict(pair for part in map_cases(in_turn, len(chains)) for pair in part)
+        solutions = [found[i] for i in range(count)]
         return Evaluation(youngs, values, weight, solutions, self.data, self.derivative_rtol)
 
 

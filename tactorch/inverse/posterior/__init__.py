@@ -1,1 +1,36 @@
-"""Posteriors: of element maps, and of inclusions, in coordinates in which they are normal."""
+"""Posteriors of element maps and inclusions, the paper's credibility, and coverage of intervals.
+
+`tactorch.inverse.compute_posterior` chooses among `LaplacePosterior`, `LowRankPosterior` (large
+meshes) and `variational_posterior` (total variation, with estimated scales).
+"""
+
+from tactorch.inverse.posterior.coverage import (
+    Coverage,
+    calibration_curve,
+    calibration_error,
+    coverage,
+)
+from tactorch.inverse.posterior.gaussian import GaussianPosterior
+from tactorch.inverse.posterior.gaussian_state import GaussianState
+from tactorch.inverse.posterior.laplace import LaplacePosterior
+from tactorch.inverse.posterior.low_rank import LowRankPosterior
+from tactorch.inverse.posterior.select import posterior_at
+from tactorch.inverse.posterior.sensitivity import credibility, layer_profile, sensitivity_matrix
+from tactorch.inverse.posterior.variational import VariationalPosterior, variational_posterior
+
+__all__ = [
+    "Coverage",
+    "GaussianPosterior",
+    "GaussianState",
+    "LaplacePosterior",
+    "LowRankPosterior",
+    "VariationalPosterior",
+    "calibration_curve",
+    "calibration_error",
+    "coverage",
+    "credibility",
+    "layer_profile",
+    "posterior_at",
+    "sensitivity_matrix",
+    "variational_posterior",
+]

@@ -1,4 +1,4 @@
-"""The normal posterior of an element map, whose approximations are in `tactorch.uncertainty`."""
+"""The normal posterior of an element map."""
 
 from abc import ABC, abstractmethod
 
@@ -39,10 +39,6 @@ class GaussianPosterior(ABC):
     def sample(self, rng: np.random.Generator, n: int) -> Float[np.ndarray, "n m"]:
         """Draw parameters, one map per row."""
 
-    @abstractmethod
-    def log_det(self) -> float:
-        """Return the logarithm of the determinant of the precision H."""
-
     def deviation(self) -> Field:
         """Return the standard deviation of each element's parameter."""
         return np.sqrt(self.variance())
@@ -57,12 +53,6 @@ class GaussianPosterior(ABC):
         limits = self.parameterization.limits
         low, high = (np.clip(self.mean + sign * half_width, *limits) for sign in (-1, 1))
         return self.parameterization.youngs(low), self.parameterization.youngs(high)
-
-    def correlation(self, elements: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
-        """Return the correlation of some elements' parameters."""
-        covariance = self.covariance(elements)
-        deviation = np.sqrt(covariance.diagonal())
-        return covariance / np.outer(deviation, deviation)
 
 
 def normal_quantile(level: float) -> float:

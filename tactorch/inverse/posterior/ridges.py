@@ -11,16 +11,18 @@ of t, and the marginal density of t is that of the conditional optimum over this
 intervals are then close to those of the profile likelihood.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator, make_interp_spline
 from scipy.linalg import null_space
 from scipy.special import ndtr
+
+from tactorch.inverse.data.plain import with_arrays
 
 _GRID = 2001  # values of t of the distribution function
 _TAIL = 1.0  # length of t beyond the last points, in standard deviations of the prior
@@ -29,23 +31,14 @@ _MIN_SLOPE = 0.5  # of the log-density beyond the last points
 
 @dataclass(frozen=True, eq=False)
 class RidgePoint:
-    """The conditional posterior at one value of t.
+    """The conditional posterior at one value of t."""
 
-    Attributes:
-        z: The most probable parameters, in standard deviations of the prior.
-        height: Half the sum of squared residuals and squared parameters there.
-        slope: Derivative of `height` by t along the ridge.
-        along: Derivative of `z` by t along the ridge.
-        root: Cholesky factor of the conditional covariance, in the ridge's `basis`.
-        deviation: Standard deviation of t in the model linearised here.
-    """
-
-    z: Float[np.ndarray, " size"]
-    height: float
-    slope: float
-    along: Float[np.ndarray, " size"]
-    root: Float[np.ndarray, "others others"]
-    deviation: float
+    z: Float[np.ndarray, " size"]  # most probable, in standard deviations of the prior
+    height: float  # half the sum of squared residuals and squared parameters
+    slope: float  # derivative of `height` by t along the ridge
+    along: Float[np.ndarray, " size"]  # derivative of `z` by t along the ridge
+    root: Float[np.ndarray, "others others"]  # of the conditional covariance, see `basis_across`
+    deviation: float  # of t in the model linearised here
 
     @staticmethod
     def of(
@@ -54,14 +47,7 @@ class RidgePoint:
         jacobian: Float[np.ndarray, "data size"],
         direction: Float[np.ndarray, " size"],
     ) -> "RidgePoint":
-        """Return the point of the same t as parameters near it.
-
-        Args:
-            z: The parameters, in standard deviations of the prior.
-            residuals: The residuals there, in standard deviations.
-            jacobian: Their derivatives by z.
-            direction: See `Ridge`.
-        """
+        """Return the point of the same t as parameters near it, with the residuals at these."""
         hessian, gradient = jacobian.T @ jacobian + np.eye(len(z)), jacobian.T @ residuals + z
         basis = basis_across(direction)
         across = basis.T @ hessian @ basis
@@ -92,19 +78,12 @@ def basis_across(direction: Float[np.ndarray, " size"]) -> Float[np.ndarray, "si
 
 @dataclass(frozen=True, eq=False)
 class Ridge:
-    """The posterior about the ridge of an inclusion.
+    """The posterior about the ridge of an inclusion."""
 
-    Attributes:
-        inclusion: Number of the inclusion.
-        direction: The unit vector whose product with the parameters is t.
-        points: Points of the ridge in ascending order of t.
-        start: Number of the point at which the normal posterior is linearised.
-    """
-
-    inclusion: int
-    direction: Float[np.ndarray, " size"]
-    points: tuple[RidgePoint, ...]
-    start: int
+    inclusion: int  # its number
+    direction: Float[np.ndarray, " size"]  # unit vector whose product with the parameters is t
+    points: tuple[RidgePoint, ...]  # in ascending order of t
+    start: int  # number of the point at which the normal posterior is linearised
 
     @staticmethod
     def through(
@@ -138,14 +117,9 @@ class Ridge:
 
     def mean(self, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k size"]:
         """Return the conditional mean of the parameters; it is straight beyond the last points."""
-        inside = np.clip(t, self.t[0], self.t[-1])
-        if len(self.points) == 1:
-            mean = np.tile(self.points[0].z, (len(t), 1))
-        else:
-            z, along = zip(*((p.z, p.along) for p in self.points), strict=True)
-            mean = CubicHermiteSpline(self.t, np.array(z), np.array(along))(inside)
+        mean = self._between(CubicHermiteSpline, t, self._all("z"), self._all("along"))
         ends = np.where((t < self.t[0])[:, None], self.points[0].along, self.points[-1].along)
-        return np.asarray(mean + (t - inside)[:, None] * ends)
+        return np.asarray(mean + (t - self._inside(t))[:, None] * ends)
 
     def quantiles(self, levels: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
         """Return the quantiles of t at levels between 0 and 1."""
@@ -156,54 +130,36 @@ class Ridge:
 
     def log_density(self, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
         """Return the logarithm of the marginal density of t, up to a constant."""
-        inside = np.clip(t, self.t[0], self.t[-1])
-        heights = np.array([p.height for p in self.points])
-        heights -= heights.min()
-        slopes = np.array([p.slope for p in self.points])
-        logs = np.log([p.deviation for p in self.points])
-        if len(self.points) == 1:
-            height, log = np.full(len(t), heights[0]), np.full(len(t), logs[0])
-        else:
-            height = CubicHermiteSpline(self.t, heights, slopes)(inside)
-            log = PchipInterpolator(self.t, logs)(inside)
-        out = t - inside
+        heights, slopes, deviations = map(self._all, ("height", "slope", "deviation"))
+        height = self._between(CubicHermiteSpline, t, heights - heights.min(), slopes)
+        log = self._between(PchipInterpolator, t, np.log(deviations))
+        out = t - self._inside(t)
         below, above = min(slopes[0], -_MIN_SLOPE), max(slopes[-1], _MIN_SLOPE)
-        curvature = np.where(out < 0, self.points[0].deviation, self.points[-1].deviation) ** -2.0
+        curvature = np.where(out < 0, deviations[0], deviations[-1]) ** -2.0
         height = height + np.where(out < 0, below, above) * out + 0.5 * curvature * out**2
         return np.asarray(-height - log)
 
     def _roots(self, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k others others"]:
         """Return factors of the conditional covariance, linear between points."""
-        roots = np.array([point.root for point in self.points])
-        if len(self.points) == 1:
-            return np.repeat(roots, len(t), axis=0)
-        inside = np.clip(t, self.t[0], self.t[-1])
-        after = np.clip(np.searchsorted(self.t, inside), 1, len(self.t) - 1)
-        share = (inside - self.t[after - 1]) / (self.t[after] - self.t[after - 1])
-        return roots[after - 1] + share[:, None, None] * (roots[after] - roots[after - 1])
+        return self._between(partial(make_interp_spline, k=1), t, self._all("root"))
 
-    def plain(self) -> dict[str, Any]:
-        """Return plain JSON values; the inverse of `of`."""
-        points = [
-            {name: np.asarray(value).tolist() for name, value in vars(point).items()}
-            for point in self.points
-        ]
-        return {
-            "inclusion": self.inclusion,
-            "direction": self.direction.tolist(),
-            "points": points,
-            "start": self.start,
-        }
+    def _all(self, name: str) -> np.ndarray:
+        return np.array([getattr(point, name) for point in self.points])
+
+    def _inside(self, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        return np.clip(t, self.t[0], self.t[-1])
+
+    def _between(
+        self, spline: Callable[..., Any], t: Float[np.ndarray, " k"], *values: np.ndarray
+    ) -> np.ndarray:
+        """Return values between the points, those at the last ones beyond."""
+        if len(self.points) == 1:
+            return np.repeat(values[0], len(t), axis=0)
+        return np.asarray(spline(self.t, *values)(self._inside(t)))
 
     @staticmethod
     def of(plain: Mapping[str, Any]) -> "Ridge":
-        """Return the ridge from plain JSON values."""
-        points, direction = tuple(map(_point, plain["points"])), np.array(plain["direction"])
-        return Ridge(plain["inclusion"], direction, points, plain["start"])
-
-
-def _point(plain: Mapping[str, Any]) -> RidgePoint:
-    """Return a point from plain JSON values."""
-    z, along, root = (np.array(plain[name]) for name in ("z", "along", "root"))
-    height, slope, deviation = (float(plain[name]) for name in ("height", "slope", "deviation"))
-    return RidgePoint(z, height, slope, along, root, deviation)
+        """Return the ridge from plain JSON values, as of `to_plain`."""
+        values = with_arrays(dict(plain, points=()))
+        points = tuple(RidgePoint(**with_arrays(point)) for point in plain["points"])
+        return Ridge(**values | {"points": points})

@@ -6,19 +6,24 @@ from typing import Any
 import numpy as np
 
 from tactorch.config import to_mapping
+from tactorch.inverse.errors import ERRORS
 from tactorch.inverse.fit.monitor import Monitor
 from tactorch.inverse.fit.objective import Objective
 from tactorch.inverse.fit.optimizers.base import Optimizer
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.forward.predictions import Predictions
-from tactorch.inverse.result.inclusions import lumps_of, reasons_of, warnings_of
-from tactorch.inverse.result.reconstruction import Reconstruction, volume_at_bounds
+from tactorch.inverse.result.lump import Confidence, Elongation, Lump, measure_depth
+from tactorch.inverse.result.reconstruction import Reconstruction
 from tactorch.inverse.result.regions import build_lump, find_lumps
-from tactorch.inverse.result.shapes import ShapeReconstruction
+from tactorch.inverse.result.shapes import ShapeInclusion, ShapeReconstruction
 from tactorch.mesh.quadrature import element_means
+from tactorch.metrics import Inclusion
 from tactorch.recording import Recording
 from tactorch.versions import versions
 
+# Part of the displacements that is neither explained nor noise, above which nothing can be told.
+_MAX_UNEXPLAINED = 0.1
+_MIN_PROBABILITY = 0.9  # of a lump that is reported
 _SAMPLES = 4  # along an edge of an element, for its mean modulus
 _MAX_AT_BOUNDS = 0.2  # fraction of the volume at the bounds in a map that can be trusted
 
@@ -26,18 +31,11 @@ _MAX_AT_BOUNDS = 0.2  # fraction of the volume at the bounds in a map that can b
 def of_inclusions(
     recording: Recording, shapes: ShapeReconstruction, config: dict[str, Any], seconds: float
 ) -> Reconstruction:
-    """Return the result whose description is inclusions.
-
-    Args:
-        recording: The presses.
-        shapes: Result of the search.
-        config: Settings, versions and provenance, see `config_of`.
-        seconds: Duration of the search, s.
-    """
+    """Return the result of a search of this duration (s); the configuration is of `config_of`."""
     predictions = shapes.predictions
     moved = np.zeros((0, recording.mesh.n_points, 3))
     history = [{"iteration": k, **r} for k, r in enumerate(shapes.history, start=1)]
-    reasons = reasons_of(shapes)
+    reasons = _reasons_of(shapes)
     return Reconstruction(
         mesh=recording.mesh,
         youngs=element_means(recording.mesh, shapes.youngs_at, _SAMPLES),
@@ -48,13 +46,65 @@ def of_inclusions(
         config=config,
         predicted=None if predictions is None else predictions.data,
         residuals=None if predictions is None else predictions.residuals,
-        lumps=() if reasons else lumps_of(recording, shapes),
+        lumps=() if reasons else _lumps_of(recording, shapes),
         background_mpa=shapes.background_mpa,
         probability=shapes.probability,
         reasons=reasons,
-        warnings=warnings_of(shapes),
+        warnings=_warnings_of(shapes),
         shapes=shapes,
     )
+
+
+def _lumps_of(recording: Recording, result: ShapeReconstruction) -> tuple[Lump, ...]:
+    """Return the inclusions whose probability is 90 % or more as lumps, with depths and intervals.
+
+    The truth that the recording may carry is not read.
+    """
+    found = (i for i in result.inclusions if i.probability >= _MIN_PROBABILITY)
+    return tuple(_lump(recording, inclusion) for inclusion in found)
+
+
+def _reasons_of(result: ShapeReconstruction) -> tuple[str, ...]:
+    """Return why the presses cannot tell: more than a tenth of the data is unexplained."""
+    if result.unexplained <= _MAX_UNEXPLAINED:
+        return ()
+    reason = (
+        f"the best model leaves {result.unexplained:.0%} of the displacements unexplained. "
+        "Check the forces, the supports and the shape of the object, and the stated noise."
+    )
+    return (reason,)
+
+
+def _warnings_of(result: ShapeReconstruction) -> tuple[str, ...]:
+    """Return a sentence on each error of the measurement that the data show."""
+    texts = [error.sentence(result.errors.get(error.name, 0.0)) for error in ERRORS]
+    return tuple(filter(None, texts))
+
+
+def _lump(recording: Recording, found: ShapeInclusion) -> Lump:
+    mesh, shape = recording.mesh, found.shape
+    center = np.array(shape.center_mm)
+    inside = shape.contains(mesh.centroids)
+    if not inside.any():  # smaller than an element
+        inside[np.linalg.norm(mesh.centroids - center, axis=1).argmin()] = True
+    inclusion = Inclusion(
+        center,
+        4.0 / 3.0 * np.pi * shape.radius_mm**3,
+        shape.radius_mm,
+        found.youngs_mpa,
+        found.background_mpa,
+        inside,
+        "stiff" if found.youngs_mpa > found.background_mpa else "soft",
+    )
+    confidence = Confidence(
+        found.probability,
+        found.contrast_90,
+        np.array(found.center_deviation_mm),
+        found.radius_90_mm,
+        found.youngs_90_mpa,
+    )
+    depth = measure_depth(mesh, recording.presses, center, inside)
+    return Lump(inclusion, 2.0 * shape.half_size_mm, depth, confidence, Elongation.of(shape))
 
 
 def of_elements(
@@ -87,15 +137,14 @@ def of_elements(
 def with_lumps(result: Reconstruction, recording: Recording) -> Reconstruction:
     """Return an element map with its lumps, their depths, and reasons not to trust it."""
     mesh, youngs = result.mesh, result.youngs
-    reasons = _reasons(result)
+    reasons = _reasons(result.volume_at_bounds)
     found = () if reasons else find_lumps(mesh, youngs)
     lumps = tuple(build_lump(mesh, recording.presses, inclusion) for inclusion in found)
     background = float(np.median(youngs))
     return replace(result, lumps=lumps, background_mpa=background, reasons=reasons)
 
 
-def _reasons(result: Reconstruction) -> tuple[str, ...]:
-    at_bounds = volume_at_bounds(result.mesh, result.youngs, result.config)
+def _reasons(at_bounds: float) -> tuple[str, ...]:
     if not at_bounds > _MAX_AT_BOUNDS:
         return ()
     reason = (

@@ -1,7 +1,7 @@
 """Lumps: inclusions as they are reported, with depth, intervals and probability."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -9,7 +9,8 @@ from jaxtyping import Float
 from scipy.special import ndtri
 
 from tactorch.errors import ConfigError
-from tactorch.inverse.result.elongation import Elongation
+from tactorch.inverse.data.plain import to_plain
+from tactorch.inverse.fields import InclusionShape
 from tactorch.mesh import TetMesh
 from tactorch.mesh.closest import closest_points
 from tactorch.metrics import Inclusion
@@ -18,6 +19,7 @@ from tactorch.recording import Press
 
 _MIN_AXIS_COSINE = 0.95  # between push and axis, for a press on a named side
 _MIN_NET_FORCE = 0.1  # net force over the sum of nodal forces; below, a press grips
+_MIN_RATIO = 2.0  # of the longest semi-axis to the next one, for a long lump
 TAIL = 0.05  # probability outside a 90 % interval, on either side
 _T = TypeVar("_T")
 
@@ -78,6 +80,45 @@ class Confidence:
 
 
 @dataclass(frozen=True, eq=False)
+class Elongation:
+    """Length and widths of a lump that is much longer than wide.
+
+    Attributes:
+        length_mm: Length, mm.
+        widths_mm: Smallest and largest width across it, mm.
+        direction: Unit vector along it, (3,), whose largest component is positive.
+    """
+
+    length_mm: float
+    widths_mm: tuple[float, float]
+    direction: Float[np.ndarray, "3"]
+
+    @staticmethod
+    def of(shape: InclusionShape) -> "Elongation | None":
+        """Return the elongation of a shape; None if it is not twice as long as wide."""
+        longest, second, third = shape.semi_axes_mm
+        if longest < _MIN_RATIO * second:
+            return None
+        direction = np.array(shape.axes[0])
+        direction = direction * np.sign(direction[np.abs(direction).argmax()])
+        return Elongation(2.0 * longest, (2.0 * third, 2.0 * second), direction)
+
+    def text(self) -> str:
+        """Return length, direction and widths in words."""
+        along = ", ".join(f"{x + 0.0:.2f}" for x in np.round(self.direction, 2))
+        widths = " x ".join(f"{width:.2g}" for width in self.widths_mm)
+        return f"{self.length_mm:.2g} mm long along ({along}) and {widths} mm across"
+
+    def plain(self) -> dict[str, object]:
+        """Return plain values: mm, and the direction."""
+        return {
+            "length_mm": self.length_mm,
+            "widths_mm": list(self.widths_mm),
+            "direction": self.direction.tolist(),
+        }
+
+
+@dataclass(frozen=True, eq=False)
 class Lump:
     """A lump with its depth and confidence.
 
@@ -98,9 +139,8 @@ class Lump:
 
     def stored(self) -> dict[str, Any]:
         """Return all as plain JSON values; the inverse of `of_stored`."""
-        elements = np.flatnonzero(self.inclusion.elements)
-        plain = _plain(asdict(self))
-        plain["inclusion"]["elements"] = elements.tolist()
+        plain: dict[str, Any] = to_plain(self)
+        plain["inclusion"]["elements"] = np.flatnonzero(self.inclusion.elements).tolist()
         return plain
 
     @staticmethod
@@ -156,12 +196,6 @@ class Lump:
         return max(self.depth.center_mm - half, 0.0), self.depth.center_mm + half
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _plain(part) for name, part in value.items()}
-    return value.tolist() if isinstance(value, np.ndarray) else value
-
-
 def _of_plain(kind: type[_T], values: Mapping[str, Any] | None, arrays: Sequence[str]) -> _T | None:
     if values is None:
         return None
@@ -188,31 +222,34 @@ def measure_depth(
         if not length > _MIN_NET_FORCE * np.linalg.norm(press.forces, axis=1).sum():
             continue  # forces cancel: gripping is no push
         inward, loaded = total / length, mesh.points[np.any(press.forces != 0, axis=1)]
-        across = loaded - center_mm
-        across = across - (across @ inward)[:, None] * inward
-        above = loaded[np.argmin(np.linalg.norm(across, axis=1))]
-        center = float((center_mm - above) @ inward)
-        cover = float(((mesh.centroids[elements] - above) @ inward).min())
-        if center > 0:
-            depths.append(Depth(center, cover, inward, center_mm - center * inward))
-    if not depths:
-        return _depth_below_probe(mesh, presses, center_mm, elements)
-    return min(depths, key=lambda depth: depth.center_mm)
-
-
-def _depth_below_probe(
-    mesh: TetMesh, presses: Sequence[Press], center_mm: Float[np.ndarray, "3"], elements: Mask
-) -> Depth | None:
+        above = loaded[np.argmin(_distances(center_mm - loaded, inward))]
+        depths.append(_depth(mesh, center_mm, elements, above, inward))
     poses = [press.probe for press in presses if press.probe is not None]
-    if not poses:
-        return None
-    inward = np.array([-pose.rotation[:, 2] for pose in poses])
-    positions = np.array([pose.position_mm for pose in poses])
-    apart = center_mm - positions
-    across = apart - (apart * inward).sum(axis=1, keepdims=True) * inward
-    nearest = int(np.argmin(np.linalg.norm(across, axis=1)))
-    closest = closest_points(mesh.points, mesh.surface.triangles, positions[nearest][None])
-    above, push = closest.points[0], inward[nearest]
-    center = float((center_mm - above) @ push)
-    cover = float(((mesh.centroids[elements] - above) @ push).min())
-    return Depth(center, cover, push, center_mm - center * push) if center > 0 else None
+    if poses and not any(depths):
+        inward = np.array([-pose.rotation[:, 2] for pose in poses])
+        positions = np.array([pose.position_mm for pose in poses])
+        nearest = int(np.argmin(_distances(center_mm - positions, inward)))
+        closest = closest_points(mesh.points, mesh.surface.triangles, positions[nearest][None])
+        depths = [_depth(mesh, center_mm, elements, closest.points[0], inward[nearest])]
+    return min(filter(None, depths), key=lambda depth: depth.center_mm, default=None)
+
+
+def _distances(
+    apart: Float[np.ndarray, "n 3"], axes: Float[np.ndarray, "*n 3"]
+) -> Float[np.ndarray, " n"]:
+    """Return the lengths of vectors across axes."""
+    across = apart - (apart * axes).sum(axis=1, keepdims=True) * axes
+    return np.linalg.norm(across, axis=1)
+
+
+def _depth(
+    mesh: TetMesh,
+    center_mm: Float[np.ndarray, "3"],
+    elements: Mask,
+    above: Float[np.ndarray, "3"],
+    inward: Float[np.ndarray, "3"],
+) -> Depth | None:
+    """Return the depth of a region below a point of the surface; None if it is not below."""
+    center = float((center_mm - above) @ inward)
+    cover = float(((mesh.centroids[elements] - above) @ inward).min())
+    return Depth(center, cover, inward, center_mm - center * inward) if center > 0 else None

@@ -1,6 +1,7 @@
 """The result of an inversion: a field of Young's modulus with its lumps, and its files."""
 
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
@@ -20,6 +21,7 @@ from tactorch.hdf5 import (
     write_json,
 )
 from tactorch.inverse.data.nuisance import NuisanceEstimate
+from tactorch.inverse.data.plain import to_plain, with_arrays
 from tactorch.inverse.posterior.gaussian import GaussianPosterior, normal_quantile
 from tactorch.inverse.result.lump import Lump
 from tactorch.inverse.result.regions import build_lump, find_lumps
@@ -133,6 +135,11 @@ class Reconstruction(Displayed):
         return float(self.history[-1]["chi2"]) if self.history else float("nan")
 
     @property
+    def weight(self) -> float:
+        """Weight of the prior at the end of the iteration of an element map."""
+        return float(self.history[-1].get("weight", 0.0)) if self.history else 0.0
+
+    @property
     def misfit_mm2(self) -> float:
         """Half the sum of squared displacement differences (eq. 7), mm^2."""
         return float(self.history[-1].get("misfit", np.nan)) if self.history else float("nan")
@@ -140,7 +147,13 @@ class Reconstruction(Displayed):
     @property
     def volume_at_bounds(self) -> float:
         """Fraction of the volume within 1 % of a bound; NaN without stored bounds."""
-        return volume_at_bounds(self.mesh, self.youngs, self.config)
+        try:
+            bounds = self.config["settings"]["bounds"]
+            low, high = 1.01 * float(bounds["lower"]), 0.99 * float(bounds["upper"])
+        except (KeyError, TypeError, ValueError):
+            return float("nan")
+        volumes = self.mesh.volumes
+        return float(volumes[(self.youngs < low) | (self.youngs > high)].sum() / volumes.sum())
 
     def youngs_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         """Return Young's modulus at points (mm), MPa; sharp at the boundaries of inclusions.
@@ -195,7 +208,7 @@ class Reconstruction(Displayed):
 
         Args:
             recording: The presses.
-            posterior: Posterior of the map, of `tactorch.uncertainty.compute_posterior`.
+            posterior: Posterior of the map, of `tactorch.inverse.compute_posterior`.
         """
         lumps = tuple(
             build_lump(self.mesh, recording.presses, lump.inclusion, posterior)
@@ -258,8 +271,7 @@ class Reconstruction(Displayed):
         write_attributes(group, stop_reason=self.stop_reason, seconds=float(self.seconds))
         write_json(group, "config", self.config)
         write_json(group, "history", self.history)
-        estimates = {name: estimate.plain() for name, estimate in self.nuisance.items()}
-        write_json(group, "nuisance", estimates)
+        write_json(group, "nuisance", to_plain(self.nuisance))
         for name in ("youngs", "displacements", "predicted", "residuals", "log_deviation"):
             if (values := getattr(self, name)) is not None:
                 write_array(group, name, values)
@@ -312,54 +324,44 @@ _FINDING = ("background_mpa", "probability", "reasons", "warnings")
 _HALF_WIDTH = normal_quantile(LEVEL)
 
 
-def volume_at_bounds(mesh: TetMesh, youngs: _Field, config: dict[str, Any]) -> float:
-    """Return the fraction of the volume within 1 % of a bound; NaN without stored bounds."""
-    try:
-        bounds = config["settings"]["bounds"]
-        low, high = 1.01 * float(bounds["lower"]), 0.99 * float(bounds["upper"])
-    except (KeyError, TypeError, ValueError):
-        return float("nan")
-    volumes = mesh.volumes
-    return float(volumes[(youngs < low) | (youngs > high)].sum() / volumes.sum())
-
-
 def _read_description(reader: Hdf5Reader, mesh: TetMesh, version: int) -> Reconstruction:
-    def optional(name: str, read: Callable[[], Any]) -> Any:
-        return read() if reader.has(name) else None
+    def array(name: str, count: int | None = None) -> np.ndarray | None:
+        return reader.array(name, "f", (count,)) if reader.has(name) else None
 
-    shape, moved = (mesh.n_tets,), (None, mesh.n_points, 3)
+    nuisance = reader.json("nuisance") if reader.has("nuisance") else {}
+    with _refused(reader, "shapes"):
+        shapes = ShapeReconstruction.of(reader.json("shapes")) if reader.has("shapes") else None
     result = Reconstruction(
         mesh=mesh,
-        youngs=reader.array("youngs", "f", shape),
-        displacements=reader.array("displacements", "f", moved),
+        youngs=reader.array("youngs", "f", (mesh.n_tets,)),
+        displacements=reader.array("displacements", "f", (None, mesh.n_points, 3)),
         history=reader.json("history", list),
         stop_reason=reader.attribute("/", "stop_reason", str),
         seconds=reader.attribute("/", "seconds", float),
         config=reader.json("config"),
-        nuisance={
-            name: NuisanceEstimate.of(plain)
-            for name, plain in (optional("nuisance", lambda: reader.json("nuisance")) or {}).items()
-        },
-        predicted=optional("predicted", lambda: reader.array("predicted", "f", (None,))),
-        residuals=optional("residuals", lambda: reader.array("residuals", "f", (None,))),
-        log_deviation=optional("log_deviation", lambda: reader.array("log_deviation", "f", shape)),
-        shapes=optional("shapes", lambda: _shapes(reader)),
+        nuisance={name: NuisanceEstimate(**with_arrays(one)) for name, one in nuisance.items()},
+        predicted=array("predicted"),
+        residuals=array("residuals"),
+        log_deviation=array("log_deviation", mesh.n_tets),
+        shapes=shapes,
     )
     if version == 1:
         return _of_earlier_version(result)
-    return _with_finding(result, reader.json("finding"), reader)
-
-
-def _with_finding(
-    result: Reconstruction, finding: dict[str, Any], reader: Hdf5Reader
-) -> Reconstruction:
-    try:
-        lumps = tuple(Lump.of_stored(lump, result.mesh.n_tets) for lump in finding["lumps"])
+    finding = reader.json("finding")
+    with _refused(reader, "lumps"):
+        lumps = tuple(Lump.of_stored(lump, mesh.n_tets) for lump in finding["lumps"])
         values = {name: finding[name] for name in _FINDING}
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise reader.error(f"has no valid lumps ({error!r}); invert the recording again") from error
-    texts = {name: tuple(values[name]) for name in ("reasons", "warnings")}
+        texts = {name: tuple(finding[name]) for name in ("reasons", "warnings")}
     return replace(result, lumps=lumps, **values | texts)
+
+
+@contextmanager
+def _refused(reader: Hdf5Reader, what: str) -> Iterator[None]:
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        text = f"has no valid {what} ({error!r}); invert the recording again"
+        raise reader.error(text) from error
 
 
 def _of_earlier_version(result: Reconstruction) -> Reconstruction:
@@ -367,12 +369,3 @@ def _of_earlier_version(result: Reconstruction) -> Reconstruction:
     found = find_lumps(result.mesh, result.youngs)
     lumps = tuple(build_lump(result.mesh, (), inclusion) for inclusion in found)
     return replace(result, lumps=lumps, background_mpa=float(np.median(result.youngs)))
-
-
-def _shapes(reader: Hdf5Reader) -> ShapeReconstruction:
-    try:
-        return ShapeReconstruction.of(reader.json("shapes"))
-    except (KeyError, TypeError, ValueError) as error:
-        raise reader.error(
-            f"has no valid shapes ({error!r}); invert the recording again"
-        ) from error

@@ -11,12 +11,15 @@ from jaxtyping import Float
 from scipy.special import expit
 
 from tactorch.display import Displayed
+from tactorch.inverse.data.plain import to_plain
 from tactorch.inverse.errors import Levels
 from tactorch.inverse.fields import InclusionShape, ShapeField, Sites
 from tactorch.inverse.forward.predictions import Predictions
 from tactorch.inverse.posterior.shapes import ShapePosterior
 
 _DRAWS = 1000
+# Attributes that files hold as they are.
+_STORED = ("chi2", "log_odds", "log_odds_any", "errors", "unexplained", "history")
 
 
 class Interval(NamedTuple):
@@ -27,21 +30,13 @@ class Interval(NamedTuple):
 
 
 class InclusionValues(NamedTuple):
-    """An inclusion of each of several draws of the parameters of shapes.
-
-    Attributes:
-        center_mm: Centre, mm.
-        radius_mm: Radius of the ball of the same volume, mm.
-        youngs_mpa: Young's modulus, MPa.
-        background_mpa: Young's modulus of the background at the centre, MPa.
-        contrast: Young's modulus over that of the background.
-    """
+    """An inclusion of each of several draws of the parameters of shapes."""
 
     center_mm: Float[np.ndarray, "draws 3"]
-    radius_mm: Float[np.ndarray, " draws"]
+    radius_mm: Float[np.ndarray, " draws"]  # of the ball of the same volume
     youngs_mpa: Float[np.ndarray, " draws"]
-    background_mpa: Float[np.ndarray, " draws"]
-    contrast: Float[np.ndarray, " draws"]
+    background_mpa: Float[np.ndarray, " draws"]  # at the centre
+    contrast: Float[np.ndarray, " draws"]  # modulus over that of the background
 
     @staticmethod
     def of(field: ShapeField, z: Float[np.ndarray, "draws size"], k: int) -> "InclusionValues":
@@ -83,17 +78,11 @@ class ShapeInclusion:
 
 
 class ShapeState(NamedTuple):
-    """A model of a search that was stopped, from which another one may start.
-
-    Attributes:
-        field: The family of the shapes.
-        z: Parameters, in standard deviations of the prior.
-        errors: Deviations of the errors of the data.
-    """
+    """A model of a search that was stopped, from which another one may start."""
 
     field: ShapeField
-    z: Float[np.ndarray, " size"]
-    errors: Levels
+    z: Float[np.ndarray, " size"]  # in standard deviations of the prior
+    errors: Levels  # of the data
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -231,17 +220,8 @@ class ShapeReconstruction(Displayed):
 
     def plain(self) -> dict[str, Any]:
         """Return plain JSON values; the inverse of `of`."""
-        return {
-            **self.field.plain(),
-            "z": self.z.tolist(),
-            "posterior": self.posterior.plain(),
-            "chi2": self.chi2,
-            "log_odds": list(self.log_odds),
-            "log_odds_any": self.log_odds_any,
-            "errors": dict(self.errors),
-            "unexplained": self.unexplained,
-            "history": list(self.history),
-        }
+        values = {name: getattr(self, name) for name in ("z", *_STORED)}
+        return self.field.plain() | to_plain(values) | {"posterior": self.posterior.plain()}
 
     @staticmethod
     def of(plain: Mapping[str, Any]) -> "ShapeReconstruction":
@@ -251,17 +231,10 @@ class ShapeReconstruction(Displayed):
             forces = "forces" if field.prior.outside_mm is None else "smooth_forces"
             names = {forces: "force_deviation", "pose": "pose_deviation", "rims": "rim_deviation"}
             errors = {name: level for name, old in names.items() if (level := plain.get(old))}
-        return ShapeReconstruction(
-            field,
-            np.array(plain["z"]),
-            ShapePosterior.of(plain["posterior"]),
-            plain["chi2"],
-            tuple(plain["log_odds"]),
-            plain["log_odds_any"],
-            errors,
-            plain["unexplained"],
-            tuple(plain["history"]),
-        )
+        values = {name: plain[name] for name in _STORED if name != "errors"}
+        values |= {name: tuple(plain[name]) for name in ("log_odds", "history")}
+        posterior = ShapePosterior.of(plain["posterior"])
+        return ShapeReconstruction(field, np.array(plain["z"]), posterior, errors=errors, **values)
 
 
 def _interval(values: Float[np.ndarray, " draws"]) -> Interval:

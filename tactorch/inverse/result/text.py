@@ -185,12 +185,7 @@ def format_modulus(value: float) -> str:
 
 
 def summarize_plain(values: Mapping[str, Any] | None, background_mpa: float) -> str:
-    """Return a table cell for a lump in plain values, with its 90 % intervals.
-
-    Args:
-        values: Values of `Lump.plain`; None if there is no lump.
-        background_mpa: Young's modulus of the object then, MPa.
-    """
+    """Return a table cell for a lump as of `Lump.plain`, with its 90 % intervals, or for none."""
     if values is None:
         return f"none; {background_mpa:.3g} MPa"
     radius = _interval(values.get("equivalent_radius_90_mm"))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tactorch.inverse import Reconstruction, ShapeReconstruction
+from tactorch.inverse.posterior import GaussianPosterior
 from tactorch.inverse.result.build import of_inclusions, with_lumps
 from tactorch.recording import Recording
-from tactorch.uncertainty import GaussianPosterior
 
 MakeMap = Callable[..., Reconstruction]
 

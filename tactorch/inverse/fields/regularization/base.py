@@ -25,19 +25,11 @@ Level = float | Field | None
 class Regularizer(ABC):
     """Penalty on a field of log-moduli, one value per element.
 
-    The attributes below are capabilities that posteriors and optimizers query; the defaults
-    describe a penalty of which nothing but its values and derivatives is known.
-
     Attributes:
-        gaussian: Whether the penalty is the negative logarithm of a Gaussian density, so that
-            `curvature` is a constant precision matrix.
-        mean: Log-moduli at the mean of that density, where it does not depend on the field.
         variation_edge: Jump below which total variation of the log-moduli is quadratic, where the
-            penalty is that, else None.
+            penalty is that, else None; posteriors depend on it.
     """
 
-    gaussian: bool = False
-    mean: Field | None = None
     variation_edge: float | None = None
 
     @abstractmethod
@@ -82,14 +74,10 @@ class Quadratic(Regularizer):
         volumes: Weights of that average, (m,).
     """
 
-    gaussian = True
-
     def __init__(
         self, matrix: sp.spmatrix, level: Level = 0.0, volumes: Field | None = None
     ) -> None:
         self._matrix, self._level, self._volumes = matrix.tocsr(), level, volumes
-        if level is not None:
-            self.mean = np.array(np.broadcast_to(level, matrix.shape[0]), dtype=np.float64)
 
     def _difference(self, field: np.ndarray) -> np.ndarray:
         level = np.average(field, weights=self._volumes) if self._level is None else self._level
@@ -117,34 +105,35 @@ class NoPrior(Prior):
         return Quadratic(sp.csr_matrix((mesh.n_tets, mesh.n_tets)))
 
 
-def log_level(
-    level_mpa: float | None, region_mpa: Mapping[int, float] | None, mesh: TetMesh
-) -> Level:
-    """Return the reference of a prior as a log-modulus: one, (m,), or None for the present map's.
+@dataclass(frozen=True, kw_only=True)
+class LevelPrior(Prior):
+    """A prior about a reference modulus, which may follow the present map."""
 
-    Args:
-        level_mpa: Modulus of all regions that have none in `region_mpa`, MPa.
-        region_mpa: Modulus of regions by their number, MPa.
-        mesh: Mesh, whose regions these are.
+    level_mpa: float | None = option(
+        None, "Reference modulus; null: that of the present map", unit="MPa", gt=0
+    )
+    region_mpa: dict[int, float] | None = option(
+        None, "Reference modulus of regions by number; others take level_mpa", unit="MPa", gt=0
+    )
 
-    Raises:
-        ConfigError: The mesh has no regions, not one of these, or regions without a modulus.
-    """
-    if not region_mpa:
-        return None if level_mpa is None else float(np.log(level_mpa))
-    return np.log(region_values(region_mpa, mesh, "regularization.region_mpa", level_mpa))
+    def level(self, mesh: TetMesh) -> Level:
+        """Return the reference as a log-modulus: one, (m,), or None for that of the present map.
+
+        Raises:
+            ConfigError: The mesh has no regions, not one of these, or regions without a modulus.
+        """
+        if not self.region_mpa:
+            return None if self.level_mpa is None else float(np.log(self.level_mpa))
+        name = "regularization.region_mpa"
+        return np.log(region_values(self.region_mpa, mesh, name, self.level_mpa))
 
 
 def region_values(
     by_region: Mapping[int, float], mesh: TetMesh, name: str, others: float | None = None
 ) -> Field:
-    """Return the value of the region of each element.
+    """Return the value of the region of each element, by the setting of a name.
 
-    Args:
-        by_region: Value by the number of the region.
-        mesh: Mesh with regions.
-        name: Name of the setting in messages.
-        others: Value of other regions; None where each must have one.
+    Each region must have a value where there is none for others.
 
     Raises:
         ConfigError: The mesh has no regions, not one of these, or regions without a value.

@@ -53,7 +53,6 @@ class CompositePenalty(Regularizer):
 
     def __init__(self, parts: Sequence[tuple[float, Regularizer]]) -> None:
         self._parts = tuple(parts)
-        self.gaussian = all(part.gaussian for _, part in self._parts)
 
     def value(self, field: Field) -> float:
         return sum(share * part.value(field) for share, part in self._parts)
@@ -118,28 +117,23 @@ class ShiftedPrior(Prior):
         return CompositePenalty([(1.0 - self.share, inner), (self.share, shifted)])
 
 
+@dataclass(frozen=True, eq=False)
 class _ShiftedPenalty(Regularizer):
-    """The inner penalty of scale * (f - mean).
+    """The inner penalty of scale * (f - mean), never total variation of the log-moduli."""
 
-    It has the capabilities of a Gaussian density, with its own mean, and never those of total
-    variation of the log-moduli themselves.
-    """
-
-    def __init__(self, inner: Regularizer, mean: Field, scale: Field) -> None:
-        self._inner, self._mean, self._scale = inner, mean, scale
-        self.gaussian = inner.gaussian
-        if inner.mean is not None:
-            self.mean = mean + inner.mean / scale
+    inner: Regularizer
+    mean: Field
+    scale: Field
 
     def _difference(self, field: np.ndarray) -> np.ndarray:
-        return self._scale * (field - self._mean)
+        return self.scale * (field - self.mean)
 
     def value(self, field: Field) -> float:
-        return self._inner.value(self._difference(field))
+        return self.inner.value(self._difference(field))
 
     def gradient(self, field: Field) -> Field:
-        return self._scale * self._inner.gradient(self._difference(field))
+        return self.scale * self.inner.gradient(self._difference(field))
 
     def curvature(self, field: Field) -> sp.csr_matrix:
-        scale = sp.diags(self._scale)
-        return (scale @ self._inner.curvature(self._difference(field)) @ scale).tocsr()
+        scale = sp.diags(self.scale)
+        return (scale @ self.inner.curvature(self._difference(field)) @ scale).tocsr()

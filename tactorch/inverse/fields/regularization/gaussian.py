@@ -10,10 +10,10 @@ from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.inverse.fields.regularization.base import (
     Field,
+    LevelPrior,
     Prior,
     Quadratic,
     jumps,
-    log_level,
     relative,
 )
 from tactorch.mesh import TetMesh
@@ -34,28 +34,20 @@ class Smoothness(Prior):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tikhonov(Prior):
+class Tikhonov(LevelPrior):
     """Tikhonov: squared difference from a reference modulus.
 
     Half the sum over elements of volume * (log E - log reference)^2, in mean volumes. The mean of
     the present map is that of the log-moduli, by volume.
     """
 
-    level_mpa: float | None = option(
-        None, "Reference modulus; null: the mean of the present map", unit="MPa", gt=0
-    )
-    region_mpa: dict[int, float] | None = option(
-        None, "Reference modulus of regions by number; others take level_mpa", unit="MPa", gt=0
-    )
-
     def on(self, mesh: TetMesh) -> Quadratic:
         volumes = relative(mesh.volumes)
-        level = log_level(self.level_mpa, self.region_mpa, mesh)
-        return Quadratic(sp.diags(volumes), level, volumes)
+        return Quadratic(sp.diags(volumes), self.level(mesh), volumes)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Matern(Prior):
+class Matern(LevelPrior):
     """Gaussian with Matern covariance; weight 1 is the prior as stated.
 
     Half of (f - mean)^T Q (f - mean), f = log E: the negative logarithm of a Gaussian density. Q
@@ -70,12 +62,6 @@ class Matern(Prior):
         3.0, "Distance at which the correlation has fallen to 0.14", unit="mm", gt=0
     )
     deviation: float = option(0.5, "Standard deviation of the log-modulus", gt=0)
-    level_mpa: float | None = option(
-        None, "Mean modulus; null: that of the present map", unit="MPa", gt=0
-    )
-    region_mpa: dict[int, float] | None = option(
-        None, "Mean modulus of regions by number; others take level_mpa", unit="MPa", gt=0
-    )
 
     def on(self, mesh: TetMesh) -> "MaternPenalty":
         return MaternPenalty(self, mesh)
@@ -94,8 +80,8 @@ class MaternPenalty(Quadratic):
         self._root = np.sqrt(mesh.volumes / scale)
         precision = scale * self._operator @ sp.diags(1.0 / mesh.volumes) @ self._operator
         # The uniform field is an eigenvector of Q C^-1, so the average by volume is the minimum.
-        level = log_level(settings.level_mpa, settings.region_mpa, mesh)
-        super().__init__(0.5 * (precision + precision.T), level, relative(mesh.volumes))
+        level, volumes = settings.level(mesh), relative(mesh.volumes)
+        super().__init__(0.5 * (precision + precision.T), level, volumes)
 
     def sample(self, rng: np.random.Generator) -> Field:
         """Draw a map, MPa, for example for `tactorch.inverse.monte_carlo`; needs a given mean."""

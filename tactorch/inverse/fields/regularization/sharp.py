@@ -11,21 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float
+from scipy.optimize import brentq
 
 from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.inverse.fields.regularization.base import (
     Field,
+    LevelPrior,
     Prior,
     Regularizer,
     jumps,
-    log_level,
     relative,
 )
 from tactorch.mesh import TetMesh
-from tactorch.metrics.segment import weighted_median
 
-_MAX_BISECTIONS, _LEVEL_TOLERANCE = 200, 1e-12
+_LEVEL_TOLERANCE = 1e-12  # log-modulus
 _Function = Callable[[np.ndarray], np.ndarray]
 
 
@@ -106,7 +106,7 @@ class LogJumps(Prior):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sparsity(Prior):
+class Sparsity(LevelPrior):
     """Sparsity: few elements differ from a background modulus, possibly by much.
 
     Sum over elements of volume * (sqrt((log E - background)^2 + edge^2) - edge), in mean volumes.
@@ -117,15 +117,9 @@ class Sparsity(Prior):
     edge: float = option(
         0.03, "Difference of log-modulus below which the penalty is quadratic", gt=0
     )
-    level_mpa: float | None = option(
-        None, "Background modulus; null: the median of the present map", unit="MPa", gt=0
-    )
-    region_mpa: dict[int, float] | None = option(
-        None, "Background modulus of regions by number; others take level_mpa", unit="MPa", gt=0
-    )
 
     def on(self, mesh: TetMesh) -> Regularizer:
-        volumes, known = relative(mesh.volumes), log_level(self.level_mpa, self.region_mpa, mesh)
+        volumes, known = relative(mesh.volumes), self.level(mesh)
 
         def level(field: np.ndarray) -> float | np.ndarray:
             return smoothed_median(field, volumes, self.edge) if known is None else known
@@ -190,18 +184,14 @@ def smoothed_median(field: Field, weights: Field, edge: float) -> float:
     """Return the level c that minimises the sum of weights * sqrt((field - c)^2 + edge^2).
 
     It is the weighted median where `edge` is small relative to the spread. The sum is strictly
-    convex in c, so bisection on its slope converges.
+    convex in c, so that its slope has one root.
     """
-    low, high = float(field.min()), float(field.max())
-    level = weighted_median(field, weights)
-    for _ in range(_MAX_BISECTIONS):
+
+    def slope(level: float) -> float:
         difference = field - level
-        slope = float(weights @ (difference / np.hypot(difference, edge)))
-        low, high = (level, high) if slope > 0 else (low, level)
-        if slope == 0 or high - low <= _LEVEL_TOLERANCE * max(1.0, abs(level)):
-            break
-        level = 0.5 * (low + high)
-    return level
+        return float(weights @ (difference / np.hypot(difference, edge)))
+
+    return float(brentq(slope, field.min(), field.max(), xtol=_LEVEL_TOLERANCE))
 
 
 def two_levels(field: Field, weights: Field) -> tuple[float, float]:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
-from tactorch.uncertainty.gaussian_state import GaussianState
+from tactorch.inverse.posterior.gaussian_state import GaussianState
 
 
 @pytest.fixture
@@ -15,7 +15,8 @@ def belief() -> GaussianState:
 def test_a_map_updates_as_eq_16_and_17(belief: GaussianState) -> None:
     rng = np.random.default_rng(1)
     observed, credibility = rng.standard_normal(6), rng.uniform(0.1, 5.0, 6)
-    found = belief.after_map(observed, credibility)
+    rows = np.diag(np.sqrt(credibility))
+    found = belief.after_press(rows, rows @ (observed - belief.mean))
     before = np.linalg.inv(belief.covariance)
     precision = before + np.diag(credibility)
     mean = np.linalg.solve(precision, before @ belief.mean + credibility * observed)
@@ -24,7 +25,7 @@ def test_a_map_updates_as_eq_16_and_17(belief: GaussianState) -> None:
 
 
 def test_no_credibility_changes_nothing(belief: GaussianState) -> None:
-    found = belief.after_map(np.full(6, 9.0), np.zeros(6))
+    found = belief.after_press(np.zeros((6, 6)), np.zeros(6))
     np.testing.assert_array_equal(found.mean, belief.mean)
     np.testing.assert_array_equal(found.covariance, belief.covariance)
 
@@ -55,10 +56,6 @@ def test_variance_falls_as_foretold(belief: GaussianState) -> None:
         belief.expected_variance_reduction(np.ones((2, 5)))
 
 
-def test_wrong_shapes_and_values_are_refused(belief: GaussianState) -> None:
-    with pytest.raises(ConfigError, match="5 elements"):
-        belief.after_map(np.zeros(5), np.ones(5))
-    with pytest.raises(ConfigError, match="at least 0"):
-        belief.after_map(np.zeros(6), -np.ones(6))
+def test_wrong_shapes_are_refused(belief: GaussianState) -> None:
     with pytest.raises(ConfigError, match="5 columns"):
         belief.information_gain(np.ones((2, 5)))

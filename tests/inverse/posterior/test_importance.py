@@ -5,14 +5,14 @@ import pytest
 from scipy.stats import f, genpareto, kstest, multivariate_t, norm
 
 from tactorch.errors import ConvergenceError
-from tactorch.inverse.posterior.shapes import Normal
-from tactorch.uncertainty.importance import (
+from tactorch.inverse.posterior.importance import (
     Student,
     effective_size,
     importance_sample,
     pareto_shape,
     weighted_quantile,
 )
+from tactorch.inverse.posterior.shapes import Normal
 
 SIZE = 6
 ROOT = np.tril(0.3 * np.random.default_rng(0).standard_normal((SIZE, SIZE))) + np.eye(SIZE)

@@ -11,22 +11,22 @@ from tactorch.inverse import (
     Point,
     Settings,
     ShiftedPrior,
+    compute_posterior,
     invert_map,
     make_objective,
 )
 from tactorch.inverse.invert import solution
+from tactorch.inverse.posterior import (
+    LaplacePosterior,
+    LowRankPosterior,
+    VariationalPosterior,
+    select,
+    variational_posterior,
+)
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
 from tactorch.simulation import PressPlan, simulate
-from tactorch.uncertainty import (
-    LaplacePosterior,
-    LowRankPosterior,
-    VariationalPosterior,
-    compute_posterior,
-    select,
-    variational_posterior,
-)
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from tactorch.inverse import (
 )
 from tactorch.inverse.fields import ElementField
 from tactorch.inverse.fields.regularization.base import jumps, relative
-from tactorch.uncertainty import variational_posterior
+from tactorch.inverse.posterior import variational_posterior
 
 LOG = Log()
 NOISE = NoiseModel(relative=0.02)

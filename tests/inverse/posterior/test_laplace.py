@@ -13,8 +13,8 @@ from tactorch.inverse import (
     Objective,
 )
 from tactorch.inverse.fields import ElementField
-from tactorch.uncertainty import LaplacePosterior, calibration_error, coverage
-from tactorch.uncertainty.laplace import check_weight
+from tactorch.inverse.posterior import LaplacePosterior, calibration_error, coverage
+from tactorch.inverse.posterior.laplace import check_weight
 
 M = 12
 LOG = Log()
@@ -46,8 +46,6 @@ def test_equals_the_analytic_posterior(model: tuple[np.ndarray, np.ndarray]) -> 
     np.testing.assert_allclose(found.covariance(some), expected[np.ix_(some, some)])
     resolution = (expected @ jacobian.T @ jacobian).diagonal()
     np.testing.assert_allclose(found.resolution_diagonal(), resolution, rtol=1e-10)
-    np.testing.assert_allclose(found.log_det(), np.linalg.slogdet(precision)[1])
-    np.testing.assert_allclose(found.correlation(some).diagonal(), 1.0)
     drawn = found.sample(np.random.default_rng(1), 40_000)
     np.testing.assert_allclose(np.cov(drawn.T), expected, atol=0.03 * expected.max())
 

@@ -23,10 +23,11 @@ import scipy.sparse.linalg as spla
 from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import Parameterization, Point
+from tactorch.inverse.fields.parameterization import Parameterization
+from tactorch.inverse.fit.objective import Point
 from tactorch.inverse.posterior.gaussian import Field, GaussianPosterior
+from tactorch.inverse.posterior.laplace import check_weight
 from tactorch.linalg.superlu import SparseFactor
-from tactorch.uncertainty.laplace import check_weight
 
 Product = Callable[[np.ndarray], np.ndarray]
 
@@ -128,10 +129,6 @@ class LowRankPosterior(GaussianPosterior):
         """Relative reduction of the prior variance by the data along each direction."""
         return self.eigenvalues / (1.0 + self.eigenvalues)
 
-    def prior_variance(self) -> Field:
-        """Return the variance of each element's parameter before the data."""
-        return self.factor.inverse_diagonal[: len(self.mean)].copy()
-
     def variance(self) -> Field:
         variance = self.factor.inverse_diagonal - self.directions**2 @ self._reduction
         return variance[: len(self.mean)]
@@ -154,7 +151,3 @@ class LowRankPosterior(GaussianPosterior):
         shrink = 1.0 - 1.0 / np.sqrt(1.0 + self.eigenvalues)
         sample -= self.directions @ (shrink[:, None] * along)
         return self.mean + sample[: len(self.mean)].T
-
-    def log_det(self) -> float:
-        """See `GaussianPosterior.log_det`; a lower bound, by the omitted directions."""
-        return self.factor.log_det() + float(np.log1p(self.eigenvalues).sum())

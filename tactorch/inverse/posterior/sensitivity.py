@@ -1,10 +1,12 @@
 """The sensitivity matrix and the credibility metric of the paper (eq. 14 and 15, Fig. 3)."""
 
+from functools import reduce
+
 import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import ConfigError, TactorchError
-from tactorch.inverse import Evaluation
+from tactorch.inverse.forward.problem import Evaluation
 from tactorch.inverse.posterior.gaussian import Field
 from tactorch.mesh import TetMesh
 from tactorch.mesh.quadrature import lattice
@@ -29,10 +31,8 @@ def credibility(matrix: Evaluation | Float[np.ndarray, "data m"]) -> Field:
     """
     if isinstance(matrix, np.ndarray):
         return np.abs(matrix).max(axis=0, initial=0.0)
-    maximum = np.zeros(len(matrix.youngs))
-    for press in matrix.sensitivities:
-        np.maximum(maximum, np.abs(press.matrix()).max(axis=0, initial=0.0), out=maximum)
-    return maximum
+    each = (credibility(press.matrix()) for press in matrix.sensitivities)
+    return reduce(np.maximum, each)
 
 
 def layer_profile(

@@ -8,7 +8,7 @@ inclusions. With ridges J is Jeffreys' prior, the root of the determinant of the
 precision at z. Without any it is the determinant of the derivative of the coordinates of
 `ShapePosterior`, in which the prior is flat, and the approximation normal. The approximation is the
 first proposal of importance sampling, with an equilibrium of each press for each draw; see
-`tactorch.uncertainty.importance`.
+`tactorch.inverse.posterior.importance`.
 """
 
 import logging
@@ -21,26 +21,27 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.inverse.data.plain import to_plain
 from tactorch.inverse.fields import ShapeField
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.shapes import ShapesOnSites, fit_shapes
 from tactorch.inverse.forward.problem import Evaluation, InverseProblem
-from tactorch.inverse.posterior.shapes import Normal, ShapePosterior
+from tactorch.inverse.posterior.importance import (
+    LogDensity,
+    Student,
+    Weights,
+    effective_size,
+    importance_sample,
+    pareto_shape,
+    weighted_quantile,
+)
+from tactorch.inverse.posterior.shapes import Draws, Normal, ShapePosterior
 from tactorch.inverse.result.shapes import InclusionValues, Interval, ShapeReconstruction
 from tactorch.inverse.search.model import Model
 from tactorch.inverse.search.problem import ShapeProblem, is_same_model
 from tactorch.inverse.search.sizing import refined_at_contacts
 from tactorch.progress import progress_line
 from tactorch.recording import Recording
-from tactorch.uncertainty.importance import (
-    LogDensity,
-    Proposal,
-    Student,
-    effective_size,
-    importance_sample,
-    pareto_shape,
-    weighted_quantile,
-)
 
 _log = logging.getLogger(__name__)
 _MIN_EFFECTIVE = 20.0  # draws, for a central 90 % interval
@@ -98,7 +99,7 @@ class ShapeSamples:
 
     @cached_property
     def k_hat(self) -> float:
-        """Pareto shape of the largest weights, see `tactorch.uncertainty.importance`."""
+        """Pareto shape of the largest weights, see `tactorch.inverse.posterior.importance`."""
         return pareto_shape(self.log_weights)
 
     @property
@@ -133,13 +134,9 @@ class ShapeSamples:
 
     def plain(self) -> dict[str, Any]:
         """Return plain JSON values; the inverse of `of`."""
-        logs = self.log_weights.tolist()
-        return {
-            **self.field.plain(),
-            "z": self.z.tolist(),
-            "log_weights": [log if np.isfinite(log) else None for log in logs],
-            "order": list(self.order),
-        }
+        logs = [log if np.isfinite(log) else None for log in self.log_weights.tolist()]
+        values = {"z": self.z, "log_weights": logs, "order": self.order}
+        return self.field.plain() | to_plain(values)
 
     @staticmethod
     def of(plain: Mapping[str, Any]) -> "ShapeSamples":
@@ -197,20 +194,14 @@ def sample_shapes(
 
 def sample_posterior(
     approximation: ShapePosterior, log_target: LogDensity, draws: int, seed: int = 0
-) -> tuple[Float[np.ndarray, "draws size"], Float[np.ndarray, " draws"]]:
+) -> tuple[Draws, Weights]:
     """Return draws of parameters of shapes, and the logarithms of their weights.
 
     The first proposals are Student t distributions about the normal posterior, in its coordinates,
     and in the logarithms, with the moments of the samples of the approximation, which include those
     about its ridges: the first has the shape of the posterior near its maximum, and the second
-    reaches inclusions of large contrast.
-
-    Args:
-        approximation: Approximate posterior, within whose limits the draws are.
-        log_target: Logarithm of the density of the exact one at parameters, up to a constant; minus
-            infinity where the density is zero.
-        draws: Number of draws.
-        seed: Seed of the draws.
+    reaches inclusions of large contrast. Draws are within the limits of the approximation; see
+    `importance_sample` for the target.
 
     Raises:
         ConvergenceError: the density is zero at all draws, or hardly any have a radius and a
@@ -219,51 +210,42 @@ def sample_posterior(
     z = approximation.samples(_MOMENT_SAMPLES)
     normal = Normal(z.mean(axis=0), np.linalg.cholesky(np.atleast_2d(np.cov(z.T))))
     wide = Student(normal, approximation.within_limits)
-    return importance_sample([_InCoordinates(approximation), wide], wide, log_target, draws, seed)
+    first = [_InCoordinates.of(approximation), wide]
+    return importance_sample(first, wide, log_target, draws, seed)
 
 
 @dataclass(frozen=True, eq=False)
-class _InCoordinates(Proposal):
+class _InCoordinates(Student):
     """Student t distribution about a posterior in its coordinates, within its limits."""
 
     posterior: ShapePosterior
 
-    @cached_property
-    def _student(self) -> Student:
-        return Student(self.posterior.normal, self._is_possible)
+    @staticmethod
+    def of(posterior: ShapePosterior) -> "_InCoordinates":
+        def is_possible(x: Draws) -> Bool[np.ndarray, " k"]:
+            return posterior.within_limits(posterior.parameters(x))
 
-    def _is_possible(self, x: Float[np.ndarray, "k size"]) -> Bool[np.ndarray, " k"]:
-        return self.posterior.within_limits(self.posterior.parameters(x))
+        return _InCoordinates(posterior.normal, is_possible, posterior)
 
-    def draw(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count size"]:
-        return self.posterior.parameters(self._student.draw(count, rng))
+    def draw(self, count: int, rng: np.random.Generator) -> Draws:
+        return self.posterior.parameters(super().draw(count, rng))
 
-    def log_density(self, x: Float[np.ndarray, "k size"]) -> Float[np.ndarray, " k"]:
+    def log_density(self, x: Draws) -> Weights:
         coordinates = self.posterior.coordinates(x)
-        return self._student.log_density(coordinates) + self.posterior.log_jacobian(x)
+        return super().log_density(coordinates) + self.posterior.log_jacobian(x)
 
 
 @dataclass(frozen=True, eq=False)
 class _ExactPosterior:
-    """The posterior of shapes at presses, as a function of their parameters.
+    """The posterior of shapes at presses, as a function of their parameters."""
 
-    Attributes:
-        problem: The presses, with the data, errors and corrections of the result.
-        family: The shapes, of which all may be ellipsoids.
-        approximation: The normal posterior.
-        evaluation: Predictions at the parameters at which that is linearised.
-        fields: Their derivatives by the parameters, for each press, mm.
-        inflation: Variance of the noise over the stated one.
-        update: Called with the state as text at each evaluation.
-    """
-
-    problem: InverseProblem
-    family: ShapesOnSites
+    problem: InverseProblem  # with the data, errors and corrections of the result
+    family: ShapesOnSites  # all may be ellipsoids
     approximation: ShapePosterior
-    evaluation: Evaluation
-    fields: Sequence[Float[np.ndarray, "size nodes 3"]]
-    inflation: float
-    update: Callable[[str], None]
+    evaluation: Evaluation  # where the approximation is linearised
+    fields: Sequence[Float[np.ndarray, "size nodes 3"]]  # derivatives of each press, mm
+    inflation: float  # variance of the noise over the stated one
+    update: Callable[[str], None]  # called with the state as text at each evaluation
 
     @staticmethod
     def of(

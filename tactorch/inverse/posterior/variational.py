@@ -26,10 +26,10 @@ from jaxtyping import Float, Int
 from scipy.sparse.csgraph import connected_components
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import Point
 from tactorch.inverse.fields.regularization.base import jumps, relative
+from tactorch.inverse.fit.objective import Point
+from tactorch.inverse.posterior.laplace import LaplacePosterior
 from tactorch.linalg import DenseCholesky
-from tactorch.uncertainty.laplace import LaplacePosterior
 
 _TOLERANCE = 0.02  # relative change of weight and jump sizes
 _MAX_ITERATIONS = 60

@@ -13,7 +13,6 @@ are infinite (A. Vehtari, D. Simpson, A. Gelman, Y. Yao and J. Gabry, "Pareto sm
 sampling", J. Mach. Learn. Res. 25 (2024), 1-58).
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,7 +22,7 @@ from jaxtyping import Bool, Float
 from scipy.special import gammaln, logsumexp, softmax
 
 from tactorch.errors import ConvergenceError
-from tactorch.inverse.posterior.shapes import Normal
+from tactorch.inverse.posterior.shapes import Draws, Normal
 
 _DEGREES = 5.0  # of freedom of the proposals: tails that are heavier than normal ones
 _FITTED = 2  # proposals that are fitted to the draws before, one after the other
@@ -32,40 +31,19 @@ _PRIOR_DRAWS = 2.0  # for which a given covariance counts, over the number of pa
 _PRIOR_K, _PRIOR_TAIL = 0.5, 10.0  # prior mean of k, and the number of weights that it counts for
 _MIN_TAIL = 5  # largest weights to which a Pareto distribution is fitted
 
-IsPossible = Callable[[Float[np.ndarray, "k size"]], Bool[np.ndarray, " k"]]
+Weights = Float[np.ndarray, " k"]  # or their logarithms, of each draw
+IsPossible = Callable[[Draws], Bool[np.ndarray, " k"]]
 LogDensity = Callable[[Float[np.ndarray, " size"]], float]
 
 
-class Proposal(ABC):
-    """A distribution from which draws are made."""
-
-    @abstractmethod
-    def draw(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count size"]:
-        """Return draws."""
-
-    @abstractmethod
-    def log_density(self, x: Float[np.ndarray, "k size"]) -> Float[np.ndarray, " k"]:
-        """Return the logarithm of the density of values that may be drawn."""
-
-
 def importance_sample(
-    first: Sequence[Proposal],
-    fitted: "Student",
-    log_target: LogDensity,
-    draws: int,
-    seed: int = 0,
-) -> tuple[Float[np.ndarray, "draws size"], Float[np.ndarray, " draws"]]:
+    first: Sequence["Student"], fitted: "Student", log_target: LogDensity, draws: int, seed: int = 0
+) -> tuple[Draws, Weights]:
     """Return draws and the logarithms of their weights, whose sum is one.
 
-    As many are of each of the first proposals and of two later ones.
-
-    Args:
-        first: First proposals.
-        fitted: A distribution like the later ones, whose covariance counts for a few draws.
-        log_target: Logarithm of the target's density, up to a constant; minus infinity where the
-            density is zero.
-        draws: Number of draws.
-        seed: Seed of the draws.
+    As many are of each of the first proposals and of two later ones. The covariance of `fitted`, a
+    distribution like these, counts for a few draws. The target is known up to a constant, and its
+    logarithm is minus infinity where its density is zero.
 
     Raises:
         ConvergenceError: the density is zero at all draws, or hardly any values are possible.
@@ -87,18 +65,13 @@ def importance_sample(
 
 
 @dataclass(frozen=True, eq=False)
-class Student(Proposal):
-    """Multivariate Student t distribution of five degrees of freedom, of possible values only.
+class Student:
+    """Multivariate Student t distribution of five degrees of freedom, of possible values only."""
 
-    Attributes:
-        normal: Normal distribution whose mean and covariance are the centre and the scale.
-        is_possible: Whether values are possible.
-    """
-
-    normal: Normal
+    normal: Normal  # mean and covariance are the centre and the scale
     is_possible: IsPossible
 
-    def draw(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count size"]:
+    def draw(self, count: int, rng: np.random.Generator) -> Draws:
         """Return draws.
 
         Raises:
@@ -112,7 +85,7 @@ class Student(Proposal):
             found = np.concatenate([found, x[self.is_possible(x)]])
         return found[:count]
 
-    def log_density(self, x: Float[np.ndarray, "k size"]) -> Float[np.ndarray, " k"]:
+    def log_density(self, x: Draws) -> Weights:
         """Return the logarithm of the density of possible values.
 
         It integrates to one within the error of the estimate of `possible`.
@@ -129,7 +102,7 @@ class Student(Proposal):
         x = self._draw(_TRIALS, np.random.default_rng(0))
         return float(self.is_possible(x).mean())
 
-    def to(self, x: Float[np.ndarray, "k size"], log_weights: Float[np.ndarray, " k"]) -> "Student":
+    def to(self, x: Draws, log_weights: Weights) -> "Student":
         """Return the distribution with the mean and covariance of weighted draws.
 
         The fewer effective draws there are, the nearer is the covariance to the present one.
@@ -145,28 +118,26 @@ class Student(Proposal):
         other = Student(Normal(mean, np.linalg.cholesky(covariance)), self.is_possible)
         return other if other.possible > _MIN_POSSIBLE else self
 
-    def _draw(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count size"]:
+    def _draw(self, count: int, rng: np.random.Generator) -> Draws:
         noise = rng.standard_normal((count, len(self.normal.mean)))
         noise *= np.sqrt(_DEGREES / rng.chisquare(_DEGREES, count))[:, None]
         return self.normal.mean + noise @ self.normal.root.T
 
 
-def _mixture(
-    proposals: Sequence[Proposal], counts: Sequence[int], x: Float[np.ndarray, "k size"]
-) -> Float[np.ndarray, " k"]:
+def _mixture(proposals: Sequence[Student], counts: Sequence[int], x: Draws) -> Weights:
     """Return the logarithm of the density of all draws, so many from each proposal."""
     used = [(n, one) for n, one in zip(counts, proposals, strict=True) if n]
     each = [np.log(n / sum(counts)) + one.log_density(x) for n, one in used]
     return logsumexp(each, axis=0)
 
 
-def effective_size(log_weights: Float[np.ndarray, " draws"]) -> float:
+def effective_size(log_weights: Weights) -> float:
     """Return the effective sample size (sum w)^2 / sum w^2 (Owen, section 9.3)."""
     weights = softmax(log_weights)
     return float(1.0 / (weights @ weights))
 
 
-def pareto_shape(log_weights: Float[np.ndarray, " draws"]) -> float:
+def pareto_shape(log_weights: Weights) -> float:
     """Return the shape k of the generalised Pareto distribution of the largest weights.
 
     It is fitted to the min(draws / 5, 3 sqrt(draws)) largest weights less the next one, by the
@@ -203,9 +174,7 @@ def _zhang_stephens(x: Float[np.ndarray, " tail"]) -> float:
 
 
 def weighted_quantile(
-    values: Float[np.ndarray, " draws"],
-    weights: Float[np.ndarray, " draws"],
-    levels: Sequence[float],
+    values: Weights, weights: Weights, levels: Sequence[float]
 ) -> Float[np.ndarray, " levels"]:
     """Return quantiles at levels between 0 and 1.
 

@@ -15,11 +15,10 @@ import torch
 from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError
-from tactorch.inverse import Parameterization, Point
-from tactorch.inverse.posterior.gaussian import GaussianPosterior
+from tactorch.inverse.fields.parameterization import Parameterization
+from tactorch.inverse.fit.objective import Point
+from tactorch.inverse.posterior.gaussian import Field, GaussianPosterior
 from tactorch.linalg import DenseCholesky
-
-Field = Float[np.ndarray, " m"]  # a value per element
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,9 +82,6 @@ class LaplacePosterior(GaussianPosterior):
         noise = torch.from_numpy(rng.standard_normal((self.jacobian.shape[1], n)))
         sample = torch.linalg.solve_triangular(self.factor.lower.T, noise, upper=True).numpy()
         return self.mean + sample[: len(self.mean)].T
-
-    def log_det(self) -> float:
-        return 2.0 * float(torch.log(torch.diagonal(self.factor.lower)).sum())
 
 
 def check_weight(weight: float) -> None:

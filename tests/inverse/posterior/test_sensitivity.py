@@ -5,8 +5,8 @@ import pytest
 
 from tactorch.errors import ConfigError
 from tactorch.inverse import InverseProblem
+from tactorch.inverse.posterior import credibility, layer_profile, sensitivity_matrix
 from tactorch.mesh import box_mesh
-from tactorch.uncertainty import credibility, layer_profile, sensitivity_matrix
 
 Make = Callable[..., InverseProblem]
 

@@ -25,32 +25,12 @@ class GaussianState:
         """Return the standard deviation of each element."""
         return np.sqrt(self.covariance.diagonal())
 
-    def after_map(
-        self, observed: Float[np.ndarray, " m"], credibility: Float[np.ndarray, " m"]
-    ) -> "GaussianState":
-        """Update by the map of a single press, as in the paper (eq. 16 and 17).
-
-        R is diagonal with 1 / credibility. The update is solved in data space, so that elements of
-        credibility 0 have no data.
-
-        Args:
-            observed: Map of the press, in the unit of the mean.
-            credibility: Credibility of each element, in the inverse square of that unit.
-        """
-        if not len(observed) == len(credibility) == len(self.mean):
-            raise ConfigError(
-                f"observed has {len(observed)} elements and credibility {len(credibility)}, but "
-                f"the state {len(self.mean)}; give one each."
-            )
-        if not (np.isfinite(credibility).all() and (credibility >= 0).all()):
-            raise ConfigError("credibility must be finite and at least 0 everywhere.")
-        rows = np.diag(np.sqrt(credibility))[credibility > 0]
-        return self.after_press(rows, rows @ (observed - self.mean))
-
     def after_press(
         self, jacobian: Float[np.ndarray, "data m"], innovation: Float[np.ndarray, " data"]
     ) -> "GaussianState":
-        """Update by the data of a press, linearised at the mean (Kalman update).
+        """Update by the data of a press, linearised at the mean (Kalman update, eq. 16 and 17).
+
+        With the diagonal R of the paper the Jacobian is diagonal: the roots of the credibilities.
 
         Args:
             jacobian: Derivative of the data, in standard deviations of the noise.
