@@ -178,8 +178,7 @@ class _Coupled:
         self.pool = SolverPool(self.parts.pattern)
         stiff = np.full((gel.n_tets, scene.youngs.shape[1]), float(layer.youngs_mpa))
         self.youngs = np.concatenate([scene.youngs, stiff])
-        window = np.isin(np.arange(gel.n_points), scene.gel.window)
-        fixed = np.repeat(np.concatenate([scene.held, window])[:, None], 3, axis=1)
+        fixed = np.repeat(np.concatenate([scene.held, scene.gel.on_window])[:, None], 3, axis=1)
         self.supports = Supports(fixed=fixed).case(0, self.parts)
         vertices = np.arange(self.parts.mesh.n_points) >= body.n_points
         on_gel = np.concatenate([vertices, vertices[self.parts.edges[:, 0]]])

@@ -143,7 +143,7 @@ def test_more_force_from_a_mesh_that_does_not_resolve_the_edge(
 
 
 def test_elements_are_small_at_the_edge_and_nodes_lie_on_it(model: GelModel) -> None:
-    face = GelFace.refined(model.gel_mesh, GEL, square, 0.6)
+    face = GelFace.refined(model.gel_mesh, square, 0.6)
     away = square(face.points[:, :2])
     assert (np.abs(away) < 1e-9).sum() > 20
     corners = face.points[face.triangles]
@@ -163,7 +163,7 @@ def test_no_element_is_cut_by_the_edge(base_mm: float, edge_mm: float) -> None:
         def moved(points: np.ndarray, half: float = half, shift: float = shift) -> np.ndarray:
             return square((points - shift) * HALF / half) * half / HALF
 
-        face = GelFace.refined(coarse, GEL, moved, edge_mm)
+        face = GelFace.refined(coarse, moved, edge_mm)
         area = face._contact_areas(face.points[face.touching, :2]).sum()
         # The corners of the square need not be nodes: cut ones miss up to half of edge_mm^2 each.
         assert (2 * half) ** 2 - 2 * edge_mm**2 <= area <= (2 * half) ** 2 + 1e-9
@@ -178,7 +178,7 @@ def test_elements_of_small_contacts_are_smaller() -> None:
 def test_nodes_of_a_curved_face_stay_on_it() -> None:
     gel = GelLayer(2.0, 0.12, 0.45, size_mm=(8.0, 8.0), curvature_radius_mm=20.0)
     model = GelModel(gel, GelOptions(edge_mm=1.0, layers=3))
-    face = GelFace.refined(model.gel_mesh, gel, square, 0.6)
+    face = GelFace.refined(model.gel_mesh, square, 0.6)
     np.testing.assert_allclose(face.points[:, 2], gel.height_mm(face.points[:, :2]), atol=1e-12)
     assert np.ptp(face.points[:, 2]) > 0.3
 
@@ -187,7 +187,7 @@ def test_each_part_of_a_contact_has_linear_modes(model: GelModel) -> None:
     def two(points: np.ndarray) -> np.ndarray:
         return 1.0 - np.abs(np.column_stack([np.abs(points[:, 0]) - 2.0, points[:, 1]])).max(axis=1)
 
-    face = GelFace.refined(model.gel_mesh, GEL, two, 0.6)
+    face = GelFace.refined(model.gel_mesh, two, 0.6)
     linear, rough = face.smooth_modes(20)
     x = face.points[face.touching, 0]
     wanted = np.column_stack([x > 0, np.where(x > 0, x, 0.0), np.where(x > 0, 0.0, x)])

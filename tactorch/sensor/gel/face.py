@@ -58,19 +58,16 @@ class GelFace:
         self._contact_triangles = (np.cumsum(self.touching) - 1)[self.triangles[inside]]
 
     @staticmethod
-    def refined(
-        coarse: GelMesh, gel: GelLayer, distance: EdgeDistance, edge_mm: float
-    ) -> "GelFace":
+    def refined(coarse: GelMesh, distance: EdgeDistance, edge_mm: float) -> "GelFace":
         """Bisect elements near the edge of a contact, and move nodes of the face onto it.
 
         `edge_mm` is the longest edge of elements at the edge of the contact.
         """
+        gel = coarse.layer
         refinement = refine(coarse.mesh, edge_sizing(distance, edge_mm, gel))
-        on_window = np.zeros(coarse.mesh.n_points, dtype=bool)
-        on_window[coarse.window] = True
         on_face, on_window = (
             refinement.interpolate(mask.astype(float)) > 1.0 - 1e-9
-            for mask in (coarse.on_face, on_window)
+            for mask in (coarse.on_face, coarse.on_window)
         )
         points, tets = refinement.mesh.points.copy(), refinement.mesh.tets
         flat = points[on_face, :2]

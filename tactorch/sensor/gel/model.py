@@ -79,8 +79,8 @@ class GelMesh:
         face_height = gel.height_mm(flat)
         height = face_height - graded * (gel.thickness_mm + face_height)
         self.mesh = TetMesh.create(np.column_stack([flat, height]), cube.tets)
-        self.on_face = depth < 1e-9
-        self.face, self.window = np.flatnonzero(self.on_face), np.flatnonzero(depth > 1 - 1e-9)
+        self.on_face, self.on_window = depth < 1e-9, depth > 1 - 1e-9
+        self.face, self.window = np.flatnonzero(self.on_face), np.flatnonzero(self.on_window)
         self.face_points = self.mesh.points[self.face]  # at rest
         self.face_triangles = face_triangles(self.mesh, self.on_face)
         self.face_areas = vertex_areas(self.face_points, self.face_triangles)  # mm^2

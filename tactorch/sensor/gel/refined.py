@@ -58,7 +58,7 @@ class RefinedGel(GelBody):
 
     def __init__(self, model: GelModel, distance: EdgeDistance, edge_mm: float) -> None:
         self.edge_mm = min(edge_mm, _edge_length(distance, model.gel) or edge_mm)
-        self.face = GelFace.refined(model.gel_mesh, model.gel, distance, self.edge_mm)
+        self.face = GelFace.refined(model.gel_mesh, distance, self.edge_mm)
         if not self.face.touching.any():
             raise ConfigError(
                 "the contact is smaller than the elements of the gel; give less than"
