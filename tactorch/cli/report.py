@@ -53,8 +53,7 @@ def run(options: ReportOptions) -> Path:
             log.warning(
                 "%s: %s: %s Give recording=FILE.h5 if it was moved.", run.name, lacks, run.missing
             )
-        runs.append(run)
-    runs = [with_settings(run) for run in runs]
+        runs.append(with_settings(run))
     complete = [run for run in runs if run.recording is not None]
     if options.uncertainty and complete:
         log.info(

@@ -142,15 +142,13 @@ class RunReport:
     @property
     def _described(self) -> Fact:
         """The description that is shown, and how the other one fits."""
-        result, other = self.result, self.result.other
-        count = 0 if result.shapes is None else len(result.shapes.inclusions)
-        what = "one modulus per element"
+        result, note = self.result, "one modulus per element"
         if result.shapes is not None:
-            what = f"{count} inclusion{'s' * (count != 1)} in a background"
-        note = what
-        if other is not None:
-            residual = f"{math.sqrt(other.chi2):.2g} SD"
-            note = f"{what}; computed too: {other.name}, which fits the presses to {residual}"
+            count = len(result.shapes.inclusions)
+            note = f"{count} inclusion{'s' * (count != 1)} in a background"
+        if result.other is not None:
+            residual = f"{math.sqrt(result.other.chi2):.2g} SD"
+            note += f"; computed too: {result.other.name}, which fits the presses to {residual}"
         return Fact("Description", result.name, note)
 
     @property
@@ -218,11 +216,10 @@ class RunReport:
             residual = (_number(1e3 * fit.rms_mm), _number(fit.rms_deviations, 2))
             rows.append([press_label(k + 1, press), force, _number(1e3 * size, 4), *residual])
         header = ["Press", "Force (N)", "Displacement, RMS (µm)", "Residual, RMS (µm)"]
-        caption = "Residual of each press (SD: standard deviations)"
+        caption = "Residual of each press"
         if len(self.listed) < len(self.fits):
-            caption = (
-                f"Presses of the largest residuals, of {len(self.fits)} (SD: standard deviations)"
-            )
+            caption = f"Presses of the largest residuals, of {len(self.fits)}"
+        caption += " (SD: standard deviations)"
         return Table(caption, [*header, "Residual (SD)"], rows)
 
     @property
