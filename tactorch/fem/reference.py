@@ -1,6 +1,6 @@
 """The mechanics in torch operations, differentiable to any order.
 
-The compiled kernels are tested against these functions, which also give second derivatives.
+They give second derivatives, and the compiled kernels are tested against them.
 Poisson's ratio and the rest positions (mm) are those of the body unless given.
 """
 
@@ -25,24 +25,6 @@ def deformation_gradient(
     return one + torch.einsum("...mki,mqkI->...mqiI", u[..., nodes, :], gradients)
 
 
-def element_energy(
-    body: Assembly,
-    u: Float[Tensor, "*cases nodes 3"],
-    poisson: Float[Tensor, "*m"] | None = None,
-    points: Float[Tensor, "n 3"] | None = None,
-    *,
-    per_point: bool = False,
-) -> Float[Tensor, "*values"]:
-    """Return the energy of each element per unit modulus, mm^3 (eq. 2 over its volume).
-
-    With `per_point` it is that of each quadrature point.
-    """
-    gradients, weights = body.discretisation.geometry(_points(body, points))
-    F = deformation_gradient(body.discretisation, u, gradients)
-    energy = _energy(body, F, _mean_dilatation(F, weights), weights, poisson)
-    return energy if per_point else energy.sum(-1)
-
-
 def element_work(
     body: Assembly,
     u: Float[Tensor, "*cases nodes 3"],
@@ -56,7 +38,8 @@ def element_work(
 
     With `per_point` it is that of each quadrature point's unit force.
     """
-    gradients, weights = body.discretisation.geometry(_points(body, points))
+    rest = torch.tensor(body.points) if points is None else points
+    gradients, weights = body.discretisation.geometry(rest)
     F = deformation_gradient(body.discretisation, u, gradients)
     mean = _mean_dilatation(F, weights)
 
@@ -71,10 +54,6 @@ def element_work(
         rate = torch.func.grad(lambda F: _mean_dilatation(F, weights)[..., 0].sum())(F)
         work = work + slope * (rate * change).sum((-3, -2, -1))[..., None]
     return work if per_point else work.sum(-1)
-
-
-def _points(body: Assembly, points: Tensor | None) -> Tensor:
-    return torch.tensor(body.points) if points is None else points
 
 
 def _mean_dilatation(F: Tensor, weights: Tensor) -> Float[Tensor, "*cases m q"]:

@@ -12,6 +12,8 @@ from tactorch.fem.materials import EnergyDerivatives, IsotropicMaterial
 from tactorch.fem.materials.isotropic import LinearElastic
 from tactorch.mesh import TetMesh
 
+from .conftest import element_energy
+
 
 @pytest.fixture(params=[False, True], ids=["one-poisson", "poisson-each"])
 def assembly(request, cell, name, element):
@@ -50,7 +52,7 @@ def youngs(assembly, per_point):
 
 
 def energies(assembly: Assembly, u: torch.Tensor, per_point: bool = False) -> torch.Tensor:
-    return reference.element_energy(assembly, u, per_point=per_point)
+    return element_energy(assembly, u, per_point=per_point)
 
 
 def test_energy(assembly, u, per_point):
