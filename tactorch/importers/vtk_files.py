@@ -91,19 +91,13 @@ def read_vtk(path: str | Path) -> VtkFile:
     if source.suffix.lower() == ".vtp":
         return _read_vtp(source)
     content = read_any(source, {".vtu": "vtu", ".vtk": "vtk"})
-    blocks: dict[str, list[np.ndarray]] = {"tetra": [], "triangle": [], "quad": []}
-    for block in content.cells:
-        blocks.get(block.type, []).append(block.data.astype(np.int64))
-    tets = np.vstack([np.zeros((0, 4), np.int64), *blocks["tetra"]])
-    triangles = [*blocks["triangle"], *map(_halves, blocks["quad"])]
-    return VtkFile(
-        source,
-        content.points,
-        tets,
-        np.vstack([np.zeros((0, 3), np.int64), *triangles]),
-        dict(content.point_data),
-        tuple(content.cell_data),
+    tets, three, four = (
+        content.get_cells_type(kind).astype(np.int64).reshape(-1, corners)
+        for kind, corners in (("tetra", 4), ("triangle", 3), ("quad", 4))
     )
+    triangles = np.vstack((three, _halves(four)))
+    fields, cells = dict(content.point_data), tuple(content.cell_data)
+    return VtkFile(source, content.points, tets, triangles, fields, cells)
 
 
 def _halves(quads: Int[np.ndarray, "q 4"]) -> Int[np.ndarray, "h 3"]:

@@ -21,7 +21,8 @@ _SEGMENTATIONS = ("1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7"
 
 def read_nifti(source: Path) -> tuple[np.ndarray, Float[np.ndarray, "4 4"], str]:
     """Read the array of a file, its affine matrix, and the unit of the matrix ("um", "mm", "m")."""
-    _require("nibabel", "NIfTI")
+    if importlib.util.find_spec("nibabel") is None:
+        raise ConfigError("Reading NIfTI needs nibabel: pip install 'tactorch[volumes]'.")
     import nibabel as nib
 
     try:
@@ -71,7 +72,10 @@ def read_segmentation(
 
     The matrix leads to patient coordinates (left, posterior, superior).
     """
-    _require("highdicom", "DICOM segmentations")
+    if importlib.util.find_spec("highdicom") is None:
+        raise ConfigError(
+            "Reading DICOM segmentations needs highdicom: pip install 'tactorch[volumes]'."
+        )
     import highdicom as hd
     import pydicom
 
@@ -112,11 +116,6 @@ def _apart(image: Any) -> float:
     difference = corners @ (sform - qform)[:3, :3].T + (sform - qform)[:3, 3]
     sizes = np.linalg.norm(sform[:3, :3], axis=0)
     return float(np.linalg.norm(difference, axis=1).max() / max(sizes.min(), 1e-300))
-
-
-def _require(package: str, content: str) -> None:
-    if importlib.util.find_spec(package) is None:
-        raise ConfigError(f"Reading {content} needs {package}: pip install 'tactorch[volumes]'.")
 
 
 def _reason(error: Exception) -> str:
