@@ -398,7 +398,7 @@ def test_presses_without_noise_have_no_spurious_parts():
 
 def test_layers_are_no_inclusions():
     phantom = make_phantom("cube_layers")
-    fine = box_mesh(10.0, 8, tets_per_cell=5)
+    fine = box_mesh(10.0, 7, tets_per_cell=5)
     recording = simulate(phantom, PLAN, mesh=MESH, fine_mesh=fine, element="tet10", snr_db=40.0)
     result = find_shapes(recording, max_shapes=2)
     assert result.inclusions == []

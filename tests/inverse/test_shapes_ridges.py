@@ -91,18 +91,19 @@ class FarField:
 
         Background and centre are normal given radius and contrast.
         """
-        best = self._start()
         radius, contrast = np.linspace(-1.5, 1.5, 101), np.linspace(-4.0, 4.0, 201)
-        logs = np.full((len(radius), len(contrast)), -np.inf)
-        for (i, r), (j, c) in product(enumerate(radius), enumerate(contrast)):
-            z = np.r_[best[:4], r, c]
-            columns, residuals = self.jacobian(z), self.residuals(z)
-            hessian, gradient = columns.T @ columns + np.eye(6), columns.T @ residuals + z
-            step = np.linalg.solve(hessian[:4, :4], gradient[:4])
-            height = 0.5 * (residuals @ residuals + z @ z - gradient[:4] @ step)
-            determinants = [np.linalg.slogdet(h)[1] for h in (hessian, hessian[:4, :4])]
-            logs[i, j] = -height + 0.5 * (determinants[0] - determinants[1])
-        density = np.exp(logs - logs.max())
+        points = np.array(list(product(radius, contrast)))
+        z = np.column_stack([np.tile(self._start()[:4], (len(points), 1)), points])
+        near = z[:, None] + 1e-5 * np.stack([np.eye(6), -np.eye(6)])[:, None]
+        ends = self.residuals(near.reshape(-1, 6)).reshape(near.shape)
+        columns, residuals = (ends[0] - ends[1]).mT / 2e-5, self.residuals(z)
+        hessian = columns.mT @ columns + np.eye(6)
+        gradient = np.einsum("nij,ni->nj", columns, residuals) + z
+        step = np.linalg.solve(hessian[:, :4, :4], gradient[:, :4, None])[..., 0]
+        height = 0.5 * ((residuals**2 + z**2).sum(axis=1) - (gradient[:, :4] * step).sum(axis=1))
+        determinants = [np.linalg.slogdet(h)[1] for h in (hessian, hessian[:, :4, :4])]
+        logs = -height + 0.5 * (determinants[0] - determinants[1])
+        density = np.exp(logs - logs.max()).reshape(len(radius), len(contrast))
         found = []
         for grid, mass in ((radius, density.sum(axis=1)), (contrast, density.sum(axis=0))):
             found.append(np.interp(levels, (np.cumsum(mass) - 0.5 * mass) / mass.sum(), grid))

@@ -64,7 +64,7 @@ def test_distances_are_from_the_border_of_the_palpated_area() -> None:
 
 
 def test_rods_of_the_matched_filter_have_their_volume() -> None:
-    mesh = box_mesh((60.0, 40.0, 20.0), (24, 16, 8), tets_per_cell=5)
+    mesh = box_mesh((60.0, 40.0, 20.0), (18, 12, 6), tets_per_cell=5)
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
     size, halves, checked = float(np.cbrt(60.0 * 40.0 * 20.0)), set(), 0
     for rods in Balls.rods(mesh):
