@@ -1,13 +1,15 @@
 """Running the command in this process, and small input for it."""
 
+import functools
 import logging
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hydra._internal.hydra import Hydra
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 
@@ -67,6 +69,22 @@ def run_here(arguments: tuple[str | Path, ...]) -> int:
         HydraConfig.instance().cfg = None
         assert not GlobalHydra.instance().is_initialized()
     return 0
+
+
+@pytest.fixture(scope="session", autouse=True)
+def read_once() -> Iterator[None]:
+    """Read once in this process what each command reads again, and compose settings once.
+
+    Before a run, Hydra composes all settings to learn whether they set `hydra.mode`; none do.
+    """
+    from tactorch.cli import schema
+    from tactorch.config import registry
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Hydra, "get_mode", lambda *args, **options: None)
+        patch.setattr(registry, "entry_points", functools.cache(registry.entry_points))
+        patch.setattr(schema, "_code_key", functools.cache(schema._code_key))
+        yield
 
 
 @pytest.fixture

@@ -80,6 +80,14 @@ def test_values_are_converted_and_come_back() -> None:
     assert Whole.from_mapping({**again, "prior": {**again["prior"], "name": "plain"}}) == built
 
 
+def test_what_lists_hold_becomes_plain() -> None:
+    assert to_mapping([1, (2.0, "a"), {"b": [Path("c"), None]}]) == [
+        1,
+        [2.0, "a"],
+        {"b": ["c", None]},
+    ]
+
+
 def test_python_and_tables_share_the_checks() -> None:
     with pytest.raises(ConfigError, match=r"priors\.edge=-1: give a number above 0\."):
         Prior(edge=-1)

@@ -12,6 +12,7 @@ import pytest
 from tactorch.errors import ConfigError, FileError, MeshError
 from tactorch.generation import MeshSizes, Recipe, SampleSet, generate, make_sample
 from tactorch.generation.card import write_card
+from tactorch.generation.touch_card import touch_rows
 from tactorch.mesh import Hemisphere, write_surface
 from tactorch.recording import MaterialSpec
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription, save_sensor
@@ -104,6 +105,18 @@ def test_shards_are_read_by_plain_h5py(made: SampleSet) -> None:
             np.testing.assert_allclose(on_body, -touch["poses"][k][:3, :3] @ on_gel, atol=1e-6)
         mesh = shard[f"meshes/{sample.attrs['mesh_hash'].decode()}"]
         assert len(mesh["tets"]) == len(sample["truth"])
+
+
+def test_the_card_has_the_largest_motion_of_each_press(made: SampleSet) -> None:
+    touches = [sample.touch for sample in made if sample.touch is not None]
+    rows = touch_rows(touches)
+    motions = [one.markers_px - one.rest_markers_px for one in touches]
+    squares = np.concatenate([(motion**2).sum(axis=2) for motion in motions])
+    found = np.array(rows["largest motion of a marker, px"])
+    np.testing.assert_allclose(found, np.sqrt(squares.max(axis=1)), rtol=1e-6)
+    deepest = np.concatenate([one.gel_displacement[..., 2].min(axis=1) for one in touches])
+    np.testing.assert_allclose(rows["indentation of the gel, mm"], -deepest)
+    assert len(rows["force along the axis, N"]) == len(found)
 
 
 def test_card_says_how_presses_were_simulated(made: SampleSet, make: Make, tmp_path: Path) -> None:

@@ -80,6 +80,16 @@ def test_an_element_at_the_bound_hides_no_inclusion(mesh: TetMesh, cells: Cells)
     np.testing.assert_array_equal(found.elements, block)
 
 
+def test_an_extreme_element_hides_no_inclusion_of_its_own_side(mesh: TetMesh, cells: Cells) -> None:
+    """One element 250 times too stiff, beside a block half as stiff again as the background."""
+    block = cells((0, 0, 0), (2, 2, 2))
+    youngs = np.where(block, 0.3, 0.2)
+    youngs[np.flatnonzero(~block)[-1]] = 50.0
+    found = find_inclusion(mesh, youngs)
+    assert found is not None
+    np.testing.assert_array_equal(found.elements, block)
+
+
 def test_background_is_the_median_not_the_mean(mesh: TetMesh, cells: Cells) -> None:
     """Beside a large stiff part, 0.65 is past half way from 0.2 to 1, but not from the mean."""
     stiff, medium = cells((0, 0, 0), (4, 3, 2)), cells((0, 3, 0), (4, 4, 1))

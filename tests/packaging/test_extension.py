@@ -54,9 +54,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(
-    folder: Path, *arguments: str, installed: bool = True
-) -> "subprocess.CompletedProcess[str]":
+def run(folder: Path, *arguments: str, installed: bool = True) -> Completed:
     path = str(folder / "site") if installed else ""
     cache = {"XDG_CACHE_HOME": str(folder / f"cache-{installed}")}
     return subprocess.run(
@@ -70,9 +68,14 @@ def run(
 
 
 @pytest.fixture(scope="module")
-def press(folder: Path) -> str:
-    done = run(folder, "-c", SIMULATE)
-    assert done.returncode == 0, done.stderr
+def used(folder: Path) -> Completed:
+    """A process that uses the material and the sensor map."""
+    return run(folder, "-c", SIMULATE + MAP)
+
+
+@pytest.fixture(scope="module")
+def press(used: Completed) -> str:
+    assert used.returncode == 0, used.stderr
     return "press.h5"
 
 
@@ -111,6 +114,5 @@ def test_without_the_package_the_names_are_unknown(folder: Path, press: str) -> 
     assert "Traceback" not in done.stderr
 
 
-def test_a_sensor_map_is_fitted(folder: Path) -> None:
-    done = run(folder, "-c", MAP)
-    assert done.stdout.split() == ["True", "True"], done.stderr
+def test_a_sensor_map_is_fitted(used: Completed) -> None:
+    assert used.stdout.split() == ["True", "True"], used.stderr

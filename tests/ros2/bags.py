@@ -79,7 +79,7 @@ def write_bag(
     return path
 
 
-def height(x: float, y: float) -> float:
+def height(x: Any, y: Any) -> Any:
     return 0.02 * x + 0.3 * np.sin(y / 8.0) - 40.0
 
 
@@ -122,9 +122,10 @@ class Robot:
     def centre(self, time_s: np.ndarray) -> np.ndarray:
         return np.column_stack([np.interp(time_s, self.times, p) for p in self.points.T])
 
-    def force(self, centre: np.ndarray) -> float:
-        depth = height(centre[0], centre[1]) + RADIUS - centre[2]
-        return float(MODULUS * ball_force(np.array([depth]), RADIUS)[0])
+    def force(self, centres: np.ndarray) -> np.ndarray:
+        """Force of the ball at each of several places."""
+        x, y, z = centres.T
+        return MODULUS * ball_force(height(x, y) + RADIUS - z, RADIUS)
 
     def poses(self, offset_mm: Sequence[float] = (0.0, 0.0, 0.0)) -> list[tuple[float, np.ndarray]]:
         """Places of the tool, whose ball is at an offset in its axes."""
@@ -141,21 +142,16 @@ class Robot:
         time_s = np.arange(0.007, self.times[-1] - 0.05, 1.0 / self.wrench_hz)
         centres = self.centre(time_s)
         lifted = self.centre(time_s + 0.01)[:, 2] > centres[:, 2] + 1e-6
-        sizes = [
-            self.force(c) * (0.5 if up else 1.0) for c, up in zip(centres, lifted, strict=True)
-        ]
-        return [
-            (float(t), np.array([0.0, 0.0, size]) + NOISE * rng.standard_normal(3))
-            for t, size in zip(time_s, sizes, strict=True)
-        ]
+        forces = NOISE * rng.standard_normal((len(time_s), 3))
+        forces[:, 2] += np.where(lifted, 0.5, 1.0) * self.force(centres)
+        return list(zip(time_s.tolist(), forces, strict=True))
 
     def wrenches(self, frame: str = "ft", sign: float = 1.0, fixed: bool = False) -> list[Stamped]:
         """Messages in the axes of the tool, with the offset of the sensor."""
-        inverse = Rotation.identity() if fixed else TOOL.inv()
-        return [
-            wrench(t, sign * inverse.apply(f) + np.array(self.bias_n), frame)
-            for t, f in self.forces()
-        ]
+        times, forces = zip(*self.forces(), strict=True)
+        turned = np.array(forces) if fixed else TOOL.inv().apply(forces)
+        rows = sign * turned + self.bias_n
+        return [wrench(t, row, frame) for t, row in zip(times, rows, strict=True)]
 
     def topics(self) -> dict[str, tuple[str, list[Stamped]]]:
         return {

@@ -94,7 +94,7 @@ def test_a_stop_above_the_surface_takes_no_samples_from_the_press(stop_s: float)
     time_s = np.arange(0.0, ends[-1], 0.01)
     centres = np.outer(surface + np.interp(time_s, ends, above), [0.0, 0.0, 1.0])
     noise = 0.004 * np.random.default_rng(0).standard_normal((len(time_s), 3))
-    forces = noise + [[0.0, 0.0, ROBOT.force(centre)] for centre in centres]
+    forces = noise + np.outer(ROBOT.force(centres), [0.0, 0.0, 1.0])
     _, samples = split_presses(Session(time_s, centres, forces), Detection(), "session")
     depths = surface - samples.centres_mm[:, 2]
     assert depths.max() == pytest.approx(1.2, abs=0.05)

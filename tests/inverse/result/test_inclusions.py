@@ -1,5 +1,6 @@
 """Results by inclusions: found, nothing found, cannot tell."""
 
+import json
 from dataclasses import replace
 
 import meshio
@@ -136,6 +137,13 @@ def test_both_descriptions_are_kept_in_one_file(
     np.testing.assert_allclose(fields["youngs_element_map_mpa"][0], 0.3)
     assert fields["youngs_90_high_mpa"][0].max() > 0.8
     assert fields["trusted"][0].min() == 1.0
+
+
+def test_shapes_of_a_file_do_not_know_how_presses_are_predicted(shapes):
+    again = ShapeReconstruction.of(json.loads(json.dumps(shapes.plain())))
+    assert again.held_out is None
+    assert again.predictions is None
+    np.testing.assert_array_equal(again.z, shapes.z)
 
 
 def test_a_shape_between_elements_has_the_nearest_one(recording, inclusions):
