@@ -1,4 +1,4 @@
-"""How well element maps that explain wrong forces as structure are told from those that do not.
+"""How well element maps that explain wrong forces as structure are recognised.
 
     python benchmarks/map_criticism.py [--count 6] [--errors 0 0.05] [--snr 40] [--cache FOLDER]
         [--workers N] [--out FOLDER]
