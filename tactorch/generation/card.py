@@ -39,7 +39,7 @@ def write_card(samples: SampleSet) -> Path:
         touch_picture=TOUCH_PICTURE,
         shown=len(selected),
         labels=sorted(Counter(sample.label for sample in selected).items()),
-        rows=[(name, _quantiles(values)) for name, values in _rows(selected)],
+        rows=[(name, _quantiles(values)) for name, values in table_rows(selected)],
     )
     write_file(path, text)
     return path
@@ -56,7 +56,7 @@ def _quantiles(values: Sequence[float]) -> list[str]:
     return [f"{value:.4g}" for value in quantiles]
 
 
-def _rows(selected: Sequence[Sample]) -> Iterator[tuple[str, Sequence[float]]]:
+def table_rows(selected: Sequence[Sample]) -> Iterator[tuple[str, Sequence[float]]]:
     """Yield the quantities of the table, with a value for each sample, or press of a sensor."""
     yield "presses", [len(s.recording.presses) for s in selected]
     yield "elements", [s.recording.mesh.n_tets for s in selected]

@@ -11,8 +11,7 @@ import pytest
 
 from tactorch.errors import ConfigError, FileError, MeshError
 from tactorch.generation import MeshSizes, Recipe, SampleSet, generate, make_sample
-from tactorch.generation.card import write_card
-from tactorch.generation.touch_card import touch_rows
+from tactorch.generation.card import card_samples, table_rows, write_card
 from tactorch.mesh import Hemisphere, write_surface
 from tactorch.recording import MaterialSpec
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription, save_sensor
@@ -109,7 +108,7 @@ def test_shards_are_read_by_plain_h5py(made: SampleSet) -> None:
 
 def test_the_card_has_the_largest_motion_of_each_press(made: SampleSet) -> None:
     touches = [sample.touch for sample in made if sample.touch is not None]
-    rows = touch_rows(touches)
+    rows = dict(table_rows(card_samples(made)))
     motions = [one.markers_px - one.rest_markers_px for one in touches]
     squares = np.concatenate([(motion**2).sum(axis=2) for motion in motions])
     found = np.array(rows["largest motion of a marker, px"])
