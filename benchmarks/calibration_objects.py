@@ -63,6 +63,7 @@ class NormalPrior(Quadratic):
         relative = mesh.volumes / mesh.volumes.mean()
         smooth = Smoothness().on(mesh).curvature(np.zeros(mesh.n_tets))
         self.precision = sp.csr_matrix(_SMOOTH * smooth + _MASS * sp.diags(relative))
+        self.mean = mean
         super().__init__(self.precision, mean)
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
