@@ -53,7 +53,8 @@ def run(options: ReportOptions) -> Path:
             log.warning(
                 "%s: %s: %s Give recording=FILE.h5 if it was moved.", run.name, lacks, run.missing
             )
-        runs.append(with_settings(run))
+        runs.append(run)
+    runs = [with_settings(run) for run in runs]
     complete = [run for run in runs if run.recording is not None]
     if options.uncertainty and complete:
         log.info(
