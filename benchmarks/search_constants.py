@@ -1,6 +1,6 @@
 """Sensitivity of the search for inclusions to each of its constants.
 
-    python benchmarks/search_constants.py [--case NAME] [--factor 1.4] [--only NAME...]
+    python benchmarks/search_constants.py [--case NAME|FILE] [--factor 1.4] [--only NAME...]
         [--cache FOLDER] [--resume FOLDER] [--workers N] [--out FOLDER]
 
 Each numeric constant of the modules of the search (fields, errors, fit of shapes, search and
@@ -32,6 +32,7 @@ from tactorch.files import write_json
 from tactorch.inverse import Settings
 from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.inverse.search import find_shapes
+from tactorch.recording import Recording
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
 ROOMS = ("fields", "errors", "fit.shapes", "search", "posterior")
@@ -97,7 +98,9 @@ def set_constant(constant: Constant, value: Any) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the searches and print the table and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--case", default="ball-sides4-40db", help="case of true_objects.py")
+    parser.add_argument(
+        "--case", default="ball-sides4-40db", help="case of true_objects.py, or a recording"
+    )
     parser.add_argument("--factor", type=float, default=1.4, help="factor of each constant")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="constants, or modules")
     parser.add_argument("--cache", type=Path, help="folder of the noise-free recordings")
@@ -128,10 +131,13 @@ def run(
     """Return the inclusions that a search finds with one changed constant."""
     constant, factor = job
     name = f"{constant.module}.{constant.name}_{factor:.3g}" if constant else "default"
-    path = resume / f"{case}_{name}.json" if resume else None
+    path = resume / f"{Path(case).stem}_{name}.json" if resume else None
     if path is not None and path.exists():
         return dict(json.loads(path.read_text(encoding="utf-8")))
-    recording = make_recording(next(c for c in CASES if c.name == case), cache)
+    if Path(case).is_file():
+        recording = Recording.load(case)
+    else:
+        recording = make_recording(next(c for c in CASES if c.name == case), cache)
     if constant:
         import_module(constant.module)
         set_constant(constant, constant.scaled(factor))
