@@ -14,6 +14,6 @@ def test_markers_beyond_the_nodes_move_with_the_nearest() -> None:
     axis = np.linspace(-2.0, 2.0, 5)
     x, y = (a.ravel() for a in np.meshgrid(axis, axis))
     points, shift = np.column_stack([x, y, np.zeros(25)]), np.array([0.4, -0.3, 0.0])
-    picture = draw_gel(sensor, points, np.tile(shift, (25, 1)), RenderOptions(), 0)
+    _, _, markers, _ = draw_gel(sensor, points, np.tile(shift, (25, 1)), RenderOptions(), 0)
     assert np.abs(grid.positions_mm).max() > 2.0
-    np.testing.assert_allclose(picture.markers_px, sensor.to_px(grid.positions_mm + shift[:2]))
+    np.testing.assert_allclose(markers, sensor.to_px(grid.positions_mm + shift[:2]))
