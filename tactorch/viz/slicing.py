@@ -90,7 +90,7 @@ class Plane:
         axes.yaxis.set_major_locator(MaxNLocator(4))
         if top:
             position = round(self.position_mm, 6) + 0.0  # no -0, no 1e-16
-            axes.set_title(f"{AXES[self.axis]} = {position:.4g} mm", fontsize=fontsize)
+            axes.set_title(f"{AXES[self.axis]} = {position:.3g} mm", fontsize=fontsize)
         if bottom:
             axes.set_xlabel(f"{across} (mm)", fontsize=fontsize)
         if left:
