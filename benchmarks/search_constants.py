@@ -140,7 +140,8 @@ def run(
         recording = make_recording(next(c for c in CASES if c.name == case), cache)
     if constant:
         import_module(constant.module)
-        set_constant(constant, constant.scaled(factor))
+        changed = constant._replace(value=constant.scaled(factor))
+        set_constant(constant, changed.value)
     began = time.process_time()
     try:
         result = describe(find_shapes(recording, Settings()))
@@ -148,7 +149,7 @@ def run(
         result = {"error": str(error)}
     finally:
         if constant:
-            set_constant(constant._replace(value=constant.scaled(factor)), constant.value)
+            set_constant(changed, constant.value)
     result["cpu_s"] = time.process_time() - began
     print(f"{name}: {result['cpu_s']:.0f} s", file=sys.stderr, flush=True)
     if path is not None:

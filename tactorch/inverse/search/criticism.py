@@ -22,9 +22,9 @@ from tactorch.linalg import DenseCholesky
 _MAX_PARAMETERS = 6_000  # whose normal matrix is solved in each step
 _STEPS = 8  # of reweighted least squares
 # Squared correlation of the log-moduli of the maps with and without errors of the forces. With
-# forces of random objects that are exact or wrong by 2 or 5 %, it is 0.93 or more where the map has
-# a correlation of 0.6 or more with the object, and at most 0.79 where that is 0.35 or less
-# (`benchmarks/map_criticism.py`).
+# forces of four random objects that are exact or wrong by 2 or 5 %, it was 0.93 or more where the
+# map has a correlation of 0.6 or more with the object, and at most 0.79 where that is 0.35 or less;
+# of three others 0.99 or more, and at most 0.81 (`benchmarks/results/map_criticism.md`).
 _MIN_SHARED = 0.9
 
 
