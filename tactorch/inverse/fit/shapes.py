@@ -152,20 +152,19 @@ class ShapeFit:
 
     @staticmethod
     def at(
-        field: ShapeField,
+        point: _ShapesPoint,
         evaluation: Evaluation,
         jacobian: Float[np.ndarray, "data size"],
-        z: Float[np.ndarray, " size"],
         optimum: Float[np.ndarray, " size"] | None = None,
     ) -> "ShapeFit":
-        """Return the fit of predictions at z, with their derivatives."""
-        residuals, slopes = evaluation.residuals, field.excess_jacobian(z)
-        hessian = jacobian.T @ jacobian + slopes.T @ slopes + np.eye(len(z))
+        """Return the fit of predictions at the parameters of a point, with their derivatives."""
+        residuals, z = evaluation.residuals, point.x
+        hessian = jacobian.T @ jacobian + point.penalty_curvature.toarray()
         determinant = float(np.linalg.slogdet(hessian)[1]) + evaluation.data.log_determinant
         return ShapeFit(
-            field, z, np.linalg.inv(hessian), evaluation.chi2, 0.5 * float(residuals @ residuals),
-            field.penalty(z), 0.5 * determinant, residuals, jacobian,
-            z if optimum is None else optimum,
+            point.field.shapes, z, np.linalg.inv(hessian), evaluation.chi2,
+            0.5 * float(residuals @ residuals), point.penalty, 0.5 * determinant, residuals,
+            jacobian, z if optimum is None else optimum,
         )  # fmt: skip
 
     def log_evidence(self, inflation: float = 1.0) -> float:
@@ -218,7 +217,10 @@ def fit_shapes(
         point = Point(start, family.at(start), evaluation.with_data(problem.data), objective)
     steps, monitor = _ShapeSteps(tolerance, give_up), Monitor(log=False)
     if max_iterations:
-        optimizer = GaussNewton(max_iterations, _NEVER, _DAMPING.least, _MAX_TRIALS)
+        optimizer = GaussNewton(
+            max_iterations=max_iterations, tolerance=_NEVER, damping=_DAMPING.least,
+            max_trials=_MAX_TRIALS,
+        )  # fmt: skip
         with suppress(StopOptimization):
             monitor.reason = optimizer.descend(point, steps, monitor)
         point = monitor.point or point
@@ -268,14 +270,14 @@ class _ShapeSteps(StepSolver):
         return within_bounds(point, change / max(1.0, longest))
 
     def moved(self, point: Point, change: Vector) -> Point:
-        _, fields = point.evaluation.linear_response(self._changes)
+        _, fields = point.evaluation.linear_response(self._shapes_point.changes)
         starts = point.evaluation.moved([np.tensordot(change, field, 1) for field in fields])
         return point.objective.at(self._after(change), starts=starts)
 
     @property
-    def _changes(self) -> Float[np.ndarray, "size moduli"]:
+    def _shapes_point(self) -> _ShapesPoint:
         assert isinstance(self._point.field, _ShapesPoint)
-        return self._point.field.changes
+        return self._point.field
 
     def _after(self, step: Vector) -> Vector:
         """Return the parameters after a step, within bounds."""
@@ -294,4 +296,4 @@ class _ShapeSteps(StepSolver):
 
     def _fit(self, optimum: Vector) -> ShapeFit:
         point = self._point
-        return ShapeFit.at(self._family.shapes, point.evaluation, point.jacobian, point.x, optimum)
+        return ShapeFit.at(self._shapes_point, point.evaluation, point.jacobian, optimum)

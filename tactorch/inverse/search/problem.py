@@ -203,7 +203,7 @@ class ShapeProblem:
         """Return predictions of quadratic elements as a fit with derivatives of linear ones."""
         point = ShapesOnSites(start.field, self._linear_sites).at(z)
         coarse = self.linear.evaluate(point.youngs).with_data(evaluation.data)
-        return ShapeFit.at(start.field, evaluation, point.jacobian(coarse), z)
+        return ShapeFit.at(point, evaluation, point.jacobian(coarse))
 
     def precise(self, model: Model) -> Model:
         """Return a model of the search corrected for the discretisation.
