@@ -2,6 +2,8 @@
 
 import logging
 import os
+import signal
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
@@ -31,12 +33,30 @@ def run_in_processes(
         warnings.filterwarnings("ignore", message=".*have been cancelled")
         pool = Parallel(n_jobs=count, return_as="generator_unordered")
         try:
-            yield from pool(delayed(function)(task) for task in tasks)
+            with _ctrl_c_ignored():
+                results = pool(delayed(function)(task) for task in tasks)
+            yield from results
         except BrokenProcessPool as error:
             raise TactorchError(
                 "A worker process was killed, probably because memory is exhausted; give fewer"
                 " workers. Finished results are kept: repeat the command to continue."
             ) from error
+
+
+@contextmanager
+def _ctrl_c_ignored() -> Iterator[None]:
+    """Start processes that ignore Ctrl-C: the main process receives it too, and ends them.
+
+    Otherwise one that is importing packages prints a traceback.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # processes that are started inherit it
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager

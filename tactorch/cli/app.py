@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from tactorch.cli import console
 from tactorch.cli.compose import SEARCH_PACKAGE, build_options, store_config
+from tactorch.cli.existing import CONTINUING, check_file, check_run_folder
 from tactorch.cli.overrides import (
     check_overrides,
     check_required,
@@ -20,7 +21,7 @@ from tactorch.cli.overrides import (
     named,
     swept,
 )
-from tactorch.cli.resume import has_state, with_resume
+from tactorch.cli.resume import has_state, saved_settings, with_resume
 from tactorch.cli.schema import command_module, load_schema
 from tactorch.cli.sweep import Job, register_names, summarize
 from tactorch.config.targets import trust
@@ -58,6 +59,7 @@ class App:
             settings = with_resume(self._schema, settings, multirun=flags.multirun)
             if not (flags.cfg or flags.hydra_help or flags.info):
                 check_required(self._schema, settings)
+                check_run_folder(command, settings)
         self._swept = swept(self._schema, settings) if flags.multirun else set()
         self._unnamed = {key_of(word) for word in settings} - self._swept
         self._jobs: list[Job] = []
@@ -77,6 +79,7 @@ class App:
         """
         import hydra
 
+        saved = saved_settings(self._arguments)
         command_line, debug = sys.argv, os.environ.get(_DEBUG)
         # A log file that cannot be written is no reason for a traceback among the messages.
         logging.raiseExceptions = debug == "1"
@@ -92,6 +95,8 @@ class App:
             if self._place is not None and has_state(self.command, self._place):
                 run = Path(os.path.relpath(self._place))
                 message += f"; continue with tactorch {self.command} resume={run}"
+            elif self.command in CONTINUING:
+                message += "; the same command continues"
             print(message, file=sys.stderr)
             sys.exit(console.INTERRUPTED)
         except Exception as error:
@@ -104,6 +109,8 @@ class App:
             if debug is not None:
                 os.environ[_DEBUG] = debug
         if self._failures:
+            for file, content in saved.items():
+                file.write_bytes(content)
             sys.exit(console.WRONG)
 
     def job(self, cfg: "DictConfig") -> Any:
@@ -127,7 +134,7 @@ class App:
         try:
             console.to_log_file(f"tactorch {self.command} with {note}")
             options = build_options(self.command, cfg)
-            self._check_output(getattr(options, "out", None))
+            self._check_output(getattr(options, "out", None), options.overwrite)
             # Where a progress bar shows the iterations, their lines go to the log file only.
             has_bar = console.is_rich(sys.stderr) and console.is_rich()
             lines = console.terminal_log(console.is_no_iteration) if has_bar else nullcontext()
@@ -150,8 +157,8 @@ class App:
         with suppress(FileError):  # of a log that cannot be written
             console.to_log_file(f"error: {message}", error=True)
 
-    def _check_output(self, out: Path | None) -> None:
-        """Refuse that jobs of a sweep write the same file."""
+    def _check_output(self, out: Path | None, overwrite: bool) -> None:
+        """Refuse an output that exists, or that other jobs of a sweep write."""
         if out is None:
             return
         path = Path(out).resolve()
@@ -161,6 +168,7 @@ class App:
                 "out='x-${seed}.h5', or leave it out: each job has its own folder."
             )
         self._outputs.add(path)
+        check_file(Path(out), overwrite)
 
 
 class _Flags(argparse.ArgumentParser):

@@ -23,7 +23,7 @@ _HYDRA: Mapping[str, Any] = {
     "job_logging": {
         **_PLAIN_LINES,
         "handlers": {"file": {"class": "tactorch.cli.console.RunLog"}},
-        "loggers": {"matplotlib": {"level": "WARNING"}},
+        "loggers": {name: {"level": "WARNING"} for name in ("matplotlib", "torch")},
     },
     "hydra_logging": _PLAIN_LINES,
 }

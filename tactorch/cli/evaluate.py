@@ -1,6 +1,6 @@
 """`tactorch evaluate`: score a reconstruction against the truth that a recording contains.
 
-    tactorch evaluate run=runs/gauss_newton
+    tactorch evaluate runs/gauss_newton
     tactorch evaluate run=reconstruction.h5 recording=FILE.h5 out=scores.json
 
 The scores are printed and written to scores.json in the folder of the reconstruction, or to `out`.
@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tactorch.cli.console import log, log_text
+from tactorch.cli.existing import check_file
 from tactorch.cli.outputs import score_table
 from tactorch.cli.settings import CommandOptions, UnitCheck
 from tactorch.config import option
 from tactorch.errors import FileError, RecordingError
-from tactorch.files import write_json
+from tactorch.files import read_json, write_json
 from tactorch.inverse import Reconstruction
 from tactorch.recording import Recording
 
@@ -44,14 +45,24 @@ def run(options: EvaluateOptions) -> dict[str, float]:
             f"recording '{source}' and reconstruction '{path}' are on different meshes; give the "
             "recording that was inverted."
         )
+    out = options.out or path.parent / "scores.json"
+    if options.out is None:
+        check_file(out, options.overwrite or _scored(out) == str(source))
     values, table = score_table(recording, reconstruction)
     log_text(f"reconstruction: {reconstruction.name}", table)
     for reason in reconstruction.reasons:
         log.warning("Do not trust this result: %s", reason)
-    out = options.out or path.parent / "scores.json"
     write_json(out, {"recording": str(source), "description": reconstruction.name, **values})
     log.info("scores: %s", out)
     return values["reconstruction"]
+
+
+def _scored(path: Path) -> str | None:
+    """Return the recording of the scores in a file; scores of the same one may be replaced."""
+    try:
+        return str(read_json(path, "scores", "evaluate the run again.", "recording")["recording"])
+    except FileError:
+        return None
 
 
 def _recording_path(path: Path) -> Path:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tactorch.cli.console import log
-from tactorch.cli.outputs import write_outputs
+from tactorch.cli.outputs import remove_derived, write_outputs
 from tactorch.cli.report import with_settings
 from tactorch.cli.settings import CommandOptions, UnitCheck
 from tactorch.config import option
@@ -51,6 +51,7 @@ def run(options: FindOptions) -> Reconstruction:
     if result.shapes is None:
         result = _search(with_settings(found), options.max_lumps)
         source = str(options.recording or found.summary["recording"])
+        remove_derived(options.run)
         write_outputs(options.run, found.recording, result, source=source, plots=options.plots)
     if network is not None:
         _recognise(network, result, options.run)

@@ -25,11 +25,13 @@ from tactorch.recording import Recording
 
 History = Sequence[Mapping[str, Any]]
 
-#: Results in the folder of an inversion: its own, those of other commands and of earlier versions.
+# Files that other commands make of the results.
+_DERIVED = ("scores.json", "report.html")
+# Results in the folder of an inversion: its own, those of other commands and of earlier versions.
 _RESULTS = (
     "reconstruction.h5", "reconstruction.vtu", "slices.png", "convergence.png", "summary.json",
-    "summary.txt", CHECKPOINT, "finding.txt", "finding.json", "scores.json", "report.html",
-    "shapes.json", "shapes.png",
+    "summary.txt", CHECKPOINT, "finding.txt", "finding.json", "shapes.json", "shapes.png",
+    *_DERIVED,
 )  # fmt: skip
 
 
@@ -58,6 +60,14 @@ def remove_results(out: Path, resume: Path | None) -> None:
     for path in (out / name for name in _RESULTS):
         if resume is None or resume.resolve() != path.resolve():
             path.unlink(missing_ok=True)
+
+
+def remove_derived(run: Path) -> None:
+    """Remove what other commands made of results that change: they would contradict them."""
+    for path in (run / name for name in _DERIVED):
+        if path.is_file():
+            log.info("%s, of the earlier result, is removed.", path)
+            path.unlink()
 
 
 def with_uncertainty(

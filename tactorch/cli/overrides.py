@@ -1,5 +1,6 @@
 """Settings as typed, KEY=VALUE: checked against the schema before Hydra composes them."""
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,11 +21,16 @@ if TYPE_CHECKING:
 
 #: Settings of which leading words without a key are values: of the first word, and of the others.
 POSITIONAL = {
+    "evaluate": ("run", ""),
+    "evaluate-model": ("run", ""),
     "find": ("run", ""),
     "mesh": ("surface", ""),
     "report": ("run", "compare"),
     "reproduce": ("exhibit", ""),
 }
+
+
+_KEY = re.compile(r"[+~]*[a-zA-Z_][\w./@-]*")
 
 
 def named(command: str, words: Sequence[str]) -> list[str]:
@@ -35,13 +41,18 @@ def named(command: str, words: Sequence[str]) -> list[str]:
     first, others = POSITIONAL.get(command, ("", ""))
     limit = len(words) if others else int(bool(first))
     count = 0
-    while count < min(limit, len(words)) and "=" not in words[count] and words[count][:1] != "-":
+    while count < min(limit, len(words)) and _is_value(words[count]):
         count += 1
     quoted = ["'{}'".format(w.replace("\\", r"\\").replace("'", r"\'")) for w in words[:count]]
     settings = [f"{first}={value}" for value in quoted[:1]]
     if len(quoted) > 1:
         settings.append(f"{others}=[{','.join(quoted[1:])}]")
     return [*settings, *words[count:]]
+
+
+def _is_value(word: str) -> bool:
+    """Return whether a word is no setting and no flag, but a name or a path, perhaps with a "="."""
+    return word[:1] != "-" and ("=" not in word or Path(word).exists())
 
 
 def expanded(command: str, words: Sequence[str]) -> list[str]:
@@ -111,16 +122,24 @@ def _parse(word: str, schema: Schema) -> "Override":
         (override,) = OverridesParser.create().parse_overrides([word])
     except OverrideParseException as error:
         problem = error.message.splitlines()[0]
-    if not equals and (override is None or not override.is_delete()):
+    exists = Path(word).exists()
+    if (not equals and (override is None or not override.is_delete())) or (equals and exists):
         first = next((e["name"] for e in schema.settings if e["default"] == NO_VALUE), None)
-        hint = f", here perhaps {first}={word}" if first and Path(word).exists() else ""
+        hint = f", here perhaps {_quoted(first, word)}" if first and exists else ""
         raise ConfigError(f"'{word}' is not a setting; write KEY=VALUE{hint}.")
+    if override is None and not _KEY.fullmatch(key):
+        raise ConfigError(f"'{word}' is neither a setting, KEY=VALUE, nor a path that exists.")
     if override is None:
         raise ConfigError(
             f"'{word}' cannot be read ({problem}); put a value with spaces, =, brackets or the "
             f"like in its own quotes: \"{key}='{value}'\"."
         )
     return override
+
+
+def _quoted(key: str, value: str) -> str:
+    """Return a setting as it is typed in a shell."""
+    return f"\"{key}='{value}'\"" if set(value) & set(" =,()[]{}'") else f"{key}={value}"
 
 
 def _values(override: "Override") -> list[Any]:

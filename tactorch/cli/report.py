@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Literal
 
 from tactorch.cli.console import log, progress
+from tactorch.cli.existing import check_file
 from tactorch.cli.resume import saved_options
-from tactorch.cli.settings import CommandOptions, UnitCheck, make_start
+from tactorch.cli.settings import CommandOptions, UnitCheck, make_start, run_folder
 from tactorch.config import option, to_mapping
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.inverse.fit.settings import has_all_settings
@@ -32,7 +33,11 @@ class ReportOptions(UnitCheck, CommandOptions):
     recording: Path | None = option(
         None, "Recording that `run` inverted, where it is not the file that the run names"
     )
-    out: Path | None = option(None, "File to write; null: report.html in the run's folder")
+    out: Path | None = option(
+        None,
+        "File to write; null: report.html in the folder `run`, or with `compare` comparison.html in"
+        " run_dir",
+    )
     uncertainty: bool = option(True, "Credibility and posterior: solves the presses again")
     colours: Literal["viridis", "cividis", "ultrasound"] = option(
         "viridis", "Colour map; ultrasound is grey, and the page can switch"
@@ -44,6 +49,8 @@ def run(options: ReportOptions) -> Path:
     folders = [run for folder in (options.run, *options.compare) for run in runs_in(folder)]
     if len({folder.resolve() for folder in folders}) < len(folders):
         raise ConfigError("compare: a run is named twice; give each run once.")
+    default = run_folder() / "comparison.html" if options.compare else options.run / "report.html"
+    out = options.out or default
     runs = []
     for folder, name in zip(folders, run_names(folders), strict=True):
         moved = options.recording if folder is folders[0] else None
@@ -54,6 +61,8 @@ def run(options: ReportOptions) -> Path:
                 "%s: %s: %s Give recording=FILE.h5 if it was moved.", run.name, lacks, run.missing
             )
         runs.append(run)
+    if options.out is None:
+        check_file(out, options.overwrite)
     runs = [with_settings(run) for run in runs]
     complete = [run for run in runs if run.recording is not None]
     if options.uncertainty and complete:
@@ -62,7 +71,6 @@ def run(options: ReportOptions) -> Path:
             "uncertainty=false leaves it out.",
             " and ".join(f"{run.result.mesh.n_tets:,}" for run in complete),
         )
-    out = options.out or options.run / "report.html"
     with progress("uncertainty", "steps") as update:
         done = -1
 

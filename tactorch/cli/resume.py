@@ -7,6 +7,7 @@ refused.
 
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -78,9 +79,31 @@ def _read_start(command: str, run: Path) -> tuple[list[str], str]:
     return words, started_in
 
 
+def command_of(folder: Path) -> str | None:
+    """Return the name of the command whose run, or sweep, a folder holds; None if it holds none."""
+    paths = folder / ".hydra" / "hydra.yaml", folder / "multirun.yaml"
+    path = next((path for path in paths if path.is_file()), None)
+    try:
+        return None if path is None else str(_load(path)["hydra"]["job"]["name"])
+    except (FileError, KeyError, TypeError):
+        return None
+
+
 def has_state(command: str, run: Path) -> bool:
     """Return whether a run of a command got as far as having a state to go on from."""
     return any(any(run.glob(pattern)) for pattern in _STATES.get(command, ()))
+
+
+def saved_settings(words: Sequence[str]) -> dict[Path, bytes]:
+    """Return the settings files of the run that is resumed; Hydra replaces them.
+
+    A run that is refused, as its settings cannot be used, gets them back.
+    """
+    given = {key_of(word): word.partition("=")[2].strip("'\"") for word in words}
+    folder = Path(given.get("run_dir", ""), ".hydra")
+    if given.get("resume", "null") in ("", "null") or not folder.is_dir():
+        return {}
+    return {path: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
 def saved_options(command: str, run: Path) -> Any:

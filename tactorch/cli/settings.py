@@ -21,6 +21,7 @@ class CommandOptions(Options):
     run_dir: str = option(
         "outputs/${hydra:job.name}/${now:%Y-%m-%d_%H-%M-%S}", "Folder of the results and the log"
     )
+    overwrite: bool = option(False, "Replace results and files that exist")
 
 
 @dataclass(frozen=True, kw_only=True)

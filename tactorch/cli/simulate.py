@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from tactorch.cli.console import log, progress
-from tactorch.cli.settings import CommandOptions, material_spec, run_folder
-from tactorch.config import Options, option, to_mapping
+from tactorch.cli.settings import CommandOptions, UnitCheck, material_spec, run_folder
+from tactorch.config import option, to_mapping
 from tactorch.errors import ConfigError
 from tactorch.fem import MATERIALS  # noqa: F401  (the registry of the section)
 from tactorch.linalg import SOLVERS
@@ -26,7 +26,7 @@ from tactorch.simulation import PressPlan, simulate
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulationOptions(Options):
+class SimulationOptions(UnitCheck):
     """Settings of a simulated recording."""
 
     phantom: Any = option("cube_sphere", "Object and its inclusions", section="phantom")
@@ -89,6 +89,7 @@ def simulate_recording(options: SimulationOptions) -> Recording:
             solver=solver,
             snr_db=options.snr_db,
             seed=options.seed,
+            check_units=options.check_units,
             progress=update,
         )
     provenance = {**recording.provenance, "mesh": to_mapping(options.mesh)}

@@ -231,7 +231,12 @@ def fit(
     own = [*checkpoints, LossHistory(folder / CURVE), seed_steps(options.seed)]
     trainer = _make_trainer(folder, options, [*own, *callbacks], logger or TensorBoard())
     if last.is_file():
-        check_checkpoint(last, module)
+        epochs = int(check_checkpoint(last, module).get("epoch", -1)) + 1
+        if epochs > options.max_epochs:
+            raise ConfigError(
+                f"trainer.max_epochs={options.max_epochs}: the training in '{folder}' has {epochs} "
+                "epochs; give more, or train in another folder (run_dir)."
+            )
     on_interrupt = signal.getsignal(signal.SIGINT)
     try:
         trainer.fit(module, datamodule=data, ckpt_path=str(last) if last.is_file() else None)

@@ -18,12 +18,16 @@ from tactorch.mesh.values import Real, Vector, positive, vector
 from tactorch.phantoms import Phantom
 from tactorch.progress import progress_line
 from tactorch.recording import MaterialSpec, Press, Recording
+from tactorch.recording.plausibility import MODULUS_MPA
 from tactorch.simulation.plan import PressPlan
 from tactorch.simulation.solve import PressSimulator
 from tactorch.versions import versions
 
 _DEFAULT_MATERIAL = MaterialSpec("neo_hookean", 0.45)
 _DEFAULT_PLAN = PressPlan()
+# Of a pressure over Young's modulus E: a column under a dead load of 5 E keeps a fourth of its
+# height (compressible neo-Hookean law, Poisson's ratio 0.45).
+_MAX_STRAIN = 5.0
 
 
 def simulate(
@@ -40,6 +44,7 @@ def simulate(
     seed: int = 0,
     density: Real | None = None,
     gravity: Vector = STANDARD_GRAVITY,
+    check_units: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> Recording:
     """Simulate a recording of presses on a phantom.
@@ -71,6 +76,7 @@ def simulate(
         density: Mass density, tonne/mm^3; None for no weight. Displacements are relative to the
             unloaded shape, as for all presses.
         gravity: Gravitational acceleration, mm/s^2; used with a density only.
+        check_units: Whether moduli and pressures that suggest Pa or kPa are refused.
         progress: Called with the number of solved presses and their total, from several threads
             but one call at a time. By default progress is shown as by
             `tactorch.progress.progress_line`.
@@ -79,6 +85,10 @@ def simulate(
         The recording: presses ordered by site and pressure, with all three components of the
         pressed nodes observed, `noise_mm` (None without noise), the true modulus of each element,
         and the phantom, the plan and the settings in the provenance.
+
+    Raises:
+        ConfigError: A setting cannot be used, or suggests a wrong unit.
+        ConvergenceError: The load collapses the object.
     """
     if snr_db is not None:
         noise_level(np.ones(1), snr_db)  # refuses an invalid value before the computation
@@ -88,6 +98,8 @@ def simulate(
     density = None if density is None else positive("density", density)
     mesh = phantom.mesh() if mesh is None else mesh
     truth = phantom.on_mesh(mesh, samples)
+    if check_units:
+        _check_pressure(plan.p_max_mpa, float(np.median(truth)))
     if fine_mesh is None or fine_mesh.content_hash() == mesh.content_hash():
         fine_mesh = mesh
     law = make_material(material.name, material.poisson, **material.parameters)
@@ -152,7 +164,24 @@ def simulate(
         provenance=provenance,
         density=density,
         gravity=acceleration,
+        check_units=check_units,
     )
+
+
+def _check_pressure(pressure: float, youngs: float) -> None:
+    """Refuse a pressure and a modulus (MPa) that suggest Pa or kPa."""
+    if youngs > MODULUS_MPA[1]:
+        raise ConfigError(
+            f"phantom: its Young's modulus is {youngs:.4g} MPa (median); Pa or kPa given for MPa? "
+            "200 kPa is 0.2 MPa. check_units=false accepts it."
+        )
+    if pressure > _MAX_STRAIN * youngs:
+        unit, factor = ("kPa", 1e3) if pressure < 1e3 * youngs else ("Pa", 1e6)
+        raise ConfigError(
+            f"press.p_max_mpa={pressure:.6g} is {pressure / youngs:.3g} times Young's modulus of "
+            f"the object ({youngs:.3g} MPa); {unit} given for MPa? {pressure:.6g} {unit} is "
+            f"{pressure / factor:.6g}. check_units=false accepts it."
+        )
 
 
 def _moduli(phantom: Phantom, body: SoftBody, samples: int) -> Float[np.ndarray, "m *q"]:

@@ -263,7 +263,7 @@ FORCE, POSITIONS, SPRINGS, SEEN = (f"presses/{name}1.txt" for name in ("force", 
     ),
     Case(
         "output below a file",
-        ("cannot write", "a.h5", "choose another place"),
+        ("nothing can be written into 'case/mesh.msh'", "a.h5", "choose another folder"),
         settings=("out=case/mesh.msh/a.h5",),
     ),
     Case("output is a folder", ("cannot write 'case'", "Is a directory"), settings=("out=case",)),
@@ -514,7 +514,22 @@ TINY = ("mesh=coarse", "mesh.relative_edge_length=0.35", "mesh.fine_relative=nul
     Case(
         "load that collapses the object",
         ("z+", "collapses the object", "MPa"),
-        settings=("press.p_max_mpa=50", "press.steps=1"),
+        settings=("press.p_max_mpa=50", "press.steps=1", "check_units=false"),
+    ),
+    Case(
+        "pressure in kPa",
+        ("press.p_max_mpa=20 is", "times Young's modulus", "20 kPa is 0.02", "check_units=false"),
+        settings=("press.p_max_mpa=20",),
+    ),
+    Case(
+        "pressures in Pa",
+        ("press.p_max_mpa=20000 is", "20000 Pa is 0.02"),
+        settings=("press.pressures_mpa=[10000,20000]",),
+    ),
+    Case(
+        "modulus in Pa",
+        ("Young's modulus is 2.4e+05 MPa", "Pa or kPa given for MPa?"),
+        settings=("phantom.youngs_mpa=200000", "phantom.inclusion_mpa=1000000"),
     ),
     Case(
         "signal-to-noise ratio that is no number",

@@ -87,7 +87,7 @@ def test_lumps_of_an_element_map_have_intervals_unless_left_out(
 ) -> None:
     quick = ("invert", f"recording={recording}", "run_dir=run", "method=map", *QUICK)
     for given, is_known in (((), True), (("uncertainty=false",), False)):
-        done = tactorch(*quick, *given)
+        done = tactorch(*quick, *given, "overwrite=true")
         assert done.status == 0, done.err
         lumps = summary_of("run")["finding"]["lumps"]
         assert lumps

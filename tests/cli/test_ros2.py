@@ -50,8 +50,9 @@ def test_a_session_of_a_bag_is_recorded_as_its_files_are(
     run = tmp_path / "run"
     direct = tactorch(*settings(files, calibration, run, "held_side=z-", "out=direct.h5"))
     assert direct.status == 0, direct.err
+    again = settings(files, calibration, tmp_path / "other", "held_side=z-", "out=bag.h5")
     words = [
-        word for word in settings(files, calibration, run, "held_side=z-", "out=bag.h5")
+        word for word in again
         if not word.startswith(("frames=", "poses="))
     ]  # fmt: skip
     unpacked = tactorch(*words, "frames=session/frames", "poses=session/poses.csv")

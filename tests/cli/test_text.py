@@ -26,7 +26,7 @@ def test_log_messages_have_no_control_characters(
     summary = json.loads((run / "summary.json").read_text())
     summary["recording"] = f"{RED}.h5"
     (run / "summary.json").write_text(json.dumps(summary))
-    outcome = tactorch("report", f"run={run}", "uncertainty=false")
+    outcome = tactorch("report", f"run={run}", "uncertainty=false", "out=report.html")
     printed = outcome.out + outcome.err
     assert r"\x1b[31mred" in printed
     assert "\x1b[31m" not in printed

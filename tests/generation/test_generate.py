@@ -96,7 +96,7 @@ def test_what_is_missing_is_made(made: SampleSet, recipe: Recipe, tmp_path: Path
 
 def test_failed_samples_are_recorded_with_their_reason(make_recipe: Make, tmp_path: Path) -> None:
     """Under a pressure far beyond the moduli the object collapses."""
-    recipe = make_recipe(count=1, presses=PressDraw(p_max_mpa=(2.0, 2.0), steps=(1,)))
+    recipe = make_recipe(count=1, presses=PressDraw(p_max_mpa=(1.0, 1.0), steps=(1,)))
     found = generate(recipe, tmp_path / "bad", workers=1)
     assert len(found) == 0
     assert set(found.manifest["failed"]) == {"0"}

@@ -72,6 +72,13 @@ def trained(folder: Path, callbacks: tuple = (), **options: object) -> list[dict
     return curve
 
 
+def test_fewer_epochs_than_trained_are_refused(tmp_path: Path) -> None:
+    trained(tmp_path)
+    model = Recognizer(["a", "b"], hidden=4, layers=2, dropout=0.5)
+    with pytest.raises(ConfigError, match=r"max_epochs=3: the training in .* has 4 epochs"):
+        fit(model, Blobs(), tmp_path, TrainerOptions(max_epochs=3))
+
+
 class PressCtrlC(lightning.Callback):
     """Interrupts the training at the end of an epoch."""
 

@@ -262,6 +262,8 @@ def test_recording_survives_its_file(phantom: Phantom, mesh: TetMesh, tmp_path: 
 def test_collapse_names_the_press(phantom: Phantom, mesh: TetMesh) -> None:
     plan = PressPlan(pressures_mpa=(0.02, 20.0))  # kPa given for MPa
     with pytest.raises(ConvergenceError, match=r"Press z\+ at 20 MPa: .*unit"):
+        simulate(phantom, plan, mesh=mesh, check_units=False)
+    with pytest.raises(ConfigError, match=r"20 kPa is 0\.02"):
         simulate(phantom, plan, mesh=mesh)
 
 

@@ -56,6 +56,7 @@ def run(cfg: RecordSettings) -> Path:
     facts = {"settings": to_mapping(cfg), "calibration": chain.calibration.facts}
     poses = _pose_reader(cfg, frames)
     if cfg.as_they_end:
+        out.unlink(missing_ok=True)  # with overwrite=true
         grown = record_streaming(frames, chain, poses, target, material, cfg, provenance=facts)
         return _append_contacts(grown, out)
     if frames.is_camera:
@@ -109,8 +110,6 @@ def _stages(frames: FrameSequence) -> Iterator[Callable[[str, int, int | None], 
 
 def _append_contacts(contacts: Iterable[Recording], out: Path) -> Path:
     """Append the presses of contacts to a recording until the frames end, or Ctrl-C."""
-    if out.exists():
-        raise ConfigError(f"out={out} is there already; choose another, or move it away.")
     count = 0
     try:
         for contact in contacts:

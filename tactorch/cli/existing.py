@@ -1,0 +1,84 @@
+"""Files and runs that exist: a command replaces them where overwrite=true says so."""
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from tactorch.cli.overrides import key_of
+from tactorch.cli.resume import command_of, has_state
+from tactorch.cli.schema import app_name
+from tactorch.errors import ConfigError, FileError
+
+#: Commands that continue what their run folder, or their output, holds.
+CONTINUING = ("live", "generate", "reproduce")
+_SHOWN = 3  # results in a message
+
+
+def check_file(path: Path, overwrite: bool, setting: str = "out") -> None:
+    """Refuse, before the work, a file that exists or that cannot be written.
+
+    Raises:
+        ConfigError: The file exists, and it may not be replaced.
+        FileError: Its folder cannot be made or written.
+    """
+    if path.is_file() and not overwrite:
+        raise ConfigError(
+            f"{setting}={path} exists; give overwrite=true to replace it, or {setting}=... with "
+            "another name."
+        )
+    folder = path.parent
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise FileError(
+            f"{setting}={path}: nothing can be written into '{folder}' ({error.strerror}); choose "
+            "another folder, or check its permissions and the free space."
+        ) from error
+
+
+def check_run_folder(command: str, words: Sequence[str]) -> None:
+    """Refuse a folder, given as run_dir, with the results of an earlier run.
+
+    With overwrite=true its log is removed; the command itself removes the results.
+
+    Raises:
+        ConfigError: The folder holds a run of another command, or results that may not be replaced.
+    """
+    given = {key_of(word): word.partition("=")[2].strip("'\"") for word in words}
+    folder = Path(given.get("run_dir", ""))
+    if "run_dir" not in given or _is_same(folder, given.get("resume", "")):
+        return
+    results, earlier = _results(folder), command_of(folder)
+    if not results or earlier is None:
+        return
+    if earlier != app_name(command):
+        raise ConfigError(
+            f"run_dir={folder} holds a run of tactorch {earlier}; choose another run_dir."
+        )
+    if command in CONTINUING:
+        return
+    if given.get("overwrite", "").lower() not in ("true", "yes", "on", "1"):
+        more = ", ..." if len(results) > _SHOWN else ""
+        listed = ", ".join(results[:_SHOWN]) + more
+        resume = f"resume={folder} to continue it, " if has_state(command, folder) else ""
+        raise ConfigError(
+            f"run_dir={folder} holds the results of an earlier run ({listed}); give {resume}"
+            "another run_dir, or overwrite=true to replace them."
+        )
+    for log in (*folder.glob(f"{earlier}.log"), *folder.glob(f"*/{earlier}.log")):
+        log.unlink()
+
+
+def _is_same(folder: Path, other: str) -> bool:
+    return bool(other) and os.path.realpath(folder) == os.path.realpath(other)
+
+
+def _results(folder: Path) -> list[str]:
+    """Return the names in a folder that are neither hidden nor logs."""
+    if not folder.is_dir():
+        return []
+    names = (path.name for path in folder.iterdir())
+    return sorted(name for name in names if name[0] != "." and not name.endswith(".log"))
