@@ -21,11 +21,12 @@ from tactorch.fem.linearization import Linearization
 from tactorch.linalg import SolverPool
 from tactorch.linalg.dense import column_rank, dot
 from tactorch.linalg.pool import Lease, SharedLease
-from tactorch.linalg.solver import IndefiniteError
+from tactorch.linalg.solver import IndefiniteError, direct_solver
 
 _ARMIJO = 1e-4  # smallest energy decrease of the line search, relative to the linear prediction
 _MIN_STEP_RTOL, _MAX_STEP_RTOL = 1e-8, 0.01  # accuracy of an iterative solution for a step
 _ENERGY_ROUND_OFF = 1e-11  # relative energy change below which energies are not compared
+_SQUEEZED = 0.5  # volume ratio of an element under a load that is too large
 # A factorisation costs ten to twenty-five solves, on small meshes as on large ones.
 _MAX_CG_ITERATIONS = 10
 
@@ -173,16 +174,30 @@ class Newton:
             else:
                 step *= 0.5
             if step < self.options.min_load_step:
-                reason = f"{self._describe_collapse(result, load)} {result.reason}"
+                reason = f"{self._describe_collapse(result, load, target)} {result.reason}"
                 return EquilibriumResult(u, False, reason, iterations, n_steps, result.residual)
         result.iterations, result.load_steps = iterations, n_steps
         return result
 
-    def _describe_collapse(self, failed: EquilibriumResult, load: float) -> str:
-        """Element that collapses, and the fraction of the load that is balanced."""
-        response = self.assembly.respond(failed.displacement)
+    def _describe_collapse(self, failed: EquilibriumResult, load: float, target: float) -> str:
+        """Return how the object collapses, and the fraction of the load that is balanced."""
+        response = self._respond(failed.displacement)
         if response is None:
             return "The start is already inverted."
+        if response.smallest_volume_ratio[1] < _SQUEEZED:
+            return self._describe_squeezed(response, load)
+        if self._is_unstable(failed.displacement, response, target):
+            return (
+                f"The load collapses the object: no stable equilibrium is found beyond {load:.0%} "
+                "of the load, where it buckles or leans over. Support it on more sides, lower or "
+                "spread the forces, or check their unit (N) and that of the moduli (MPa)."
+            )
+        return (
+            f"The load collapses the object: no balance is found beyond {load:.0%} of the load. "
+            "Lower or spread the forces, or check their unit (N) and that of the moduli (MPa)."
+        )
+
+    def _describe_squeezed(self, response: Response, load: float) -> str:
         element, j = response.smallest_volume_ratio
         x, y, z = self.assembly.points[self.assembly.discretisation.mesh.tets[element]].mean(0)
         youngs = self.youngs[element].mean()
@@ -192,6 +207,11 @@ class Newton:
             f"balance beyond {load:.0%} of the load. Lower the forces, check their unit (N) and "
             "that of the moduli (MPa), or spread the load."
         )
+
+    def _is_unstable(self, u: np.ndarray, response: Response, load: float) -> bool:
+        """Return whether the tangent is not positive definite, by a direct solver."""
+        matrix = self.pattern.apply_dirichlet(self._tangent(response, u, load), self._fixed)
+        return not direct_solver().analyse(self.pattern).factor(matrix)
 
     def _respond(self, u: np.ndarray) -> Response | None:
         return self.assembly.respond(u, per_point=self.youngs.ndim == 2)

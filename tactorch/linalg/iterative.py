@@ -5,6 +5,7 @@ which makes its convergence independent of the mesh size (Vanek, Mandel and Brez
 solver in PyTorch solves all right-hand sides at once, on a GPU where there is one.
 """
 
+import logging
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,20 +15,52 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from tactorch.config import option
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.linalg.blocks import SIZE, diagonal_blocks
 from tactorch.linalg.conjugate_gradients import conjugate_gradients
-from tactorch.linalg.solver import SOLVERS, IndefiniteError, Solver, SolverOptions
+from tactorch.linalg.solver import (
+    SOLVERS,
+    IndefiniteError,
+    Solver,
+    SolverOptions,
+    direct_solver,
+)
+
+_log = logging.getLogger("tactorch")
 
 
 class IterativeSolver(Solver):
     """Conjugate gradients within the limits `options.rtol` and `options.max_iterations`."""
 
     direct = False
+    _substitute: Solver | None = None  # a direct solver
+
+    def factor(self, values: Float[np.ndarray, " nnz"]) -> bool:
+        """See `Solver.factor`."""
+        if self._substitute is None:
+            return super().factor(values)
+        definite = self._substitute.factor(values)
+        self.factored = values if definite else None
+        return definite
+
+    def solve(
+        self, rhs: Float[np.ndarray, "size *k"], rtol: float = 0.0
+    ) -> Float[np.ndarray, "size *k"]:
+        """See `Solver.solve`; from a failure to converge on, a direct solver takes over."""
+        if self._substitute is None:
+            try:
+                return super().solve(rhs, rtol)
+            except ConvergenceError as error:
+                _log.warning("%s; a direct solver continues.", error)
+            assert self.factored is not None
+            self._substitute = direct_solver().analyse(self.pattern)
+            if not self.factor(self.factored):
+                raise IndefiniteError("the matrix is not positive definite")
+        return self._substitute.solve(rhs)
 
     def _iterate(
         self,
@@ -45,8 +78,7 @@ class IterativeSolver(Solver):
             name = SOLVERS.name_of(type(self.options))
             raise ConvergenceError(
                 f"solver={name} did not converge: a relative residual of {residual:.1e}, not "
-                f"{rtol:.0e}, in {limit} iterations; use solver=pardiso or solver=superlu, or "
-                f"raise solver.max_iterations or solver.rtol."
+                f"{rtol:.0e}, in {limit} iterations"
             )
         return result.solution
 

@@ -98,8 +98,7 @@ class Solver(ABC):
 
         Raises:
             IndefiniteError: An iterative solver met negative curvature.
-            ConvergenceError: An iterative solver did not converge.
-            RuntimeError: There is no factorisation.
+                RuntimeError: There is no factorisation.
         """
         if self.factored is None:
             raise RuntimeError("factor a positive definite matrix before solving")
@@ -159,11 +158,16 @@ class AutoSolver(SolverOptions):
     """PARDISO where it is installed, multigrid for the largest meshes, SuperLU elsewhere."""
 
     def resolve(self, size: int) -> SolverOptions:
-        pardiso: SolverOptions = SOLVERS["pardiso"]()
-        installed = pardiso.available()
-        if size > (_MAX_PARDISO_SIZE if installed else _MAX_SUPERLU_SIZE):
+        direct = direct_solver()
+        if size > (_MAX_SUPERLU_SIZE if direct.requires == "scipy" else _MAX_PARDISO_SIZE):
             return SOLVERS["multigrid"]()
-        return pardiso if installed else SOLVERS["superlu"]()
+        return direct
+
+
+def direct_solver() -> SolverOptions:
+    """Return PARDISO where it is installed, SuperLU elsewhere."""
+    pardiso: SolverOptions = SOLVERS["pardiso"]()
+    return pardiso if pardiso.available() else SOLVERS["superlu"]()
 
 
 def available_solvers() -> tuple[str, ...]:

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import fsolve
 
 from tactorch.errors import ConvergenceError
 from tactorch.fem import ELEMENTS, MATERIALS, NewtonOptions, SoftBody, Supports, make_material
+from tactorch.fem.materials.base import lame
 from tactorch.mesh import box_mesh
 
 # Give up soon: these tests are about how it ends, not about how far it gets.
@@ -16,8 +18,8 @@ def element(request):
     return request.param
 
 
-def body_of(mesh, element="tet4", material="neo_hookean", **options):
-    return SoftBody(mesh, make_material(material, 0.45), element=element, **options)
+def body_of(mesh, element="tet4", material="neo_hookean", poisson=0.45, **options):
+    return SoftBody(mesh, make_material(material, poisson), element=element, **options)
 
 
 def sliding(mesh, clamped):
@@ -110,19 +112,24 @@ def test_a_hole_beside_soft_tissue_survives(element, block, clamped):
 
 
 @pytest.mark.parametrize(
-    ("material", "pressure_mpa"),
-    [("neo_hookean", 20_000.0), ("st_venant_kirchhoff", 1.0)],
+    ("material", "pressure_mpa", "message"),
+    [
+        ("neo_hookean", 20_000.0, r"collapses.*beyond 0% of the load.*check their unit"),
+        (
+            "st_venant_kirchhoff",
+            1.0,
+            r"collapses.*element \d+ near \(.*\) mm with 1 MPa.*of the load",
+        ),
+    ],
     ids=["pascals-for-megapascals", "beyond-what-the-material-bears"],
 )
-def test_collapse_is_refused_with_the_place(material, pressure_mpa, element, clamped):
+def test_collapse_is_refused(material, pressure_mpa, message, element, clamped):
     coarse = box_mesh(10.0, 2, tets_per_cell=5)
     body = body_of(coarse, element, material, newton=SHORT)
     forces = body.pressure("z+", pressure_mpa).numpy()
     found = body.equilibrate(np.ones(coarse.n_tets), forces, Supports(fixed=clamped(coarse, "z-")))
     assert not found.converged
-    with pytest.raises(
-        ConvergenceError, match=r"collapses.*element \d+ near \(.*\) mm with 1 MPa.*of the load"
-    ):
+    with pytest.raises(ConvergenceError, match=message):
         found.require()
 
 
@@ -236,3 +243,40 @@ def test_solvers_find_the_same_equilibrium(solver, block, clamped):
     supports = Supports(fixed=clamped(block, "z-"))
     found = [b.equilibrate(np.ones(block.n_tets), forces, supports) for b in (body, plain)]
     np.testing.assert_allclose(found[0].displacement, found[1].displacement, atol=1e-9)
+
+
+def test_a_column_that_buckles_is_unstable_not_squeezed() -> None:
+    """A cube of 20 mm under a dead pressure; three planes of symmetry leave an eighth of it.
+
+    Uniform compression is unstable beyond 0.295 E: by Ritz's method with polynomials of degree 6
+    for the second variation of the energy, without a mesh. Coarse meshes are stiffer.
+    """
+    mesh, ratio = box_mesh(10.0, 2), 0.499
+    fixed = np.isclose(mesh.points, 0.0)
+    body = body_of(mesh, "tet10", poisson=ratio, newton=SHORT)
+    youngs, supports = np.ones(mesh.n_tets), Supports(fixed=fixed)
+    search = body.search(youngs, body.pressure("z+", 0.25).numpy(), supports)
+    start = search.run()
+    assert start.converged
+    lower, upper = (_uniform(body, ratio, pressure) for pressure in (0.25, 0.45))
+    np.testing.assert_allclose(start.displacement, lower, atol=1e-6)
+    assert not search._is_unstable(lower, search._respond(lower), 1.0)
+    assert search._is_unstable(upper, search._respond(upper), 0.45 / 0.25)
+    found = body.equilibrate(youngs, body.pressure("z+", 0.6).numpy(), supports)
+    with pytest.raises(ConvergenceError, match=r"no stable equilibrium .* buckles or leans over"):
+        found.require()
+
+
+def _uniform(body: SoftBody, ratio: float, pressure: float) -> np.ndarray:
+    """Return the displacement of uniform compression by a dead pressure, for E = 1 MPa."""
+    lam, mu = lame(ratio)
+
+    def unbalanced(stretches: np.ndarray) -> list[float]:
+        along, across = stretches
+        log_j = np.log(along * across**2)
+        axial = mu * (along - 1.0 / along) + lam * log_j / along + pressure
+        return [axial, mu * (across - 1.0 / across) + lam * log_j / across]
+
+    along, across = fsolve(unbalanced, [0.8, 1.1])
+    strain = np.array([across, across, along]) - 1.0
+    return np.asarray(body.discretisation.extend(body.mesh.points) * strain)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from tactorch.errors import ConvergenceError
 from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.linalg import CoarseSpaces, analyse
 from tactorch.linalg.p_multigrid import PMultigrid
@@ -47,7 +46,7 @@ def cycles(solver, load, rtol, monkeypatch) -> int:
     return count
 
 
-def test_linear_elements_reach_the_answer_in_few_cycles_on_any_mesh(monkeypatch):
+def test_linear_elements_reach_the_answer_in_few_cycles_on_any_mesh(monkeypatch, caplog):
     for divisions in (3, 6):
         pattern, values, linear, load, fixed = stiffness(divisions, stiff=5.0)
         solver = PMultigrid().analyse(pattern, CoarseSpaces(linear=linear))
@@ -62,8 +61,8 @@ def test_linear_elements_reach_the_answer_in_few_cycles_on_any_mesh(monkeypatch)
         assert cycles(solver, load, 1e-4, monkeypatch) <= 12
     poor = PMultigrid(max_iterations=12).analyse(pattern, CoarseSpaces(linear=linear[:, :9]))
     poor.factor(values)
-    with pytest.raises(ConvergenceError, match="p_multigrid did not converge"):
-        poor.solve(load, 1e-4)
+    np.testing.assert_allclose(poor.solve(load, 1e-4), expected, atol=1e-9 * abs(expected).max())
+    assert "p_multigrid did not converge" in caplog.text
 
 
 def test_an_earlier_cycle_serves_while_the_matrix_changes_little(monkeypatch):
