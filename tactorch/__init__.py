@@ -4,11 +4,17 @@ Units are mm, N, MPa and tonne/mm^3 everywhere. The names below are the ones tha
 they load on first use, so that `import tactorch` is fast.
 """
 
+import os
 from collections.abc import Callable
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from tactorch.display import VIEWS
+
+# Threads that wait for work sleep, as other processes may use the cores. The libraries read these
+# variables when they are loaded.
+os.environ.setdefault("KMP_BLOCKTIME", "0")
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 if TYPE_CHECKING:
     from tactorch.fem import SoftBody, Supports, make_material

@@ -1,5 +1,7 @@
 """Progress of long computations: a line at a terminal or in a notebook, else one now and then.
 
+A long computation gives a sign of life every ten seconds, whatever it does.
+
 A computation inside another one is shown as its state. Computations in other threads, and inside
 one that is not shown, are not shown.
 """
@@ -16,7 +18,8 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 _log = logging.getLogger("tactorch")
 _BRIEF_S = 1.0  # computations that are not kept on the screen
 _PERIOD_S = 0.2  # between updates in a notebook
-_PLAIN_PERIOD_S = 10.0  # between lines that are kept
+_PLAIN_PERIOD_S = 8.0  # between lines that are kept
+_TICK_S = 1.0
 
 Update: TypeAlias = Callable[[str], None]
 
@@ -38,8 +41,8 @@ def progress_line(label: str, show: bool | None = None) -> Iterator[Update]:
 
     Args:
         label: Name of the computation.
-        show: Whether it is shown; by default at a terminal, in a notebook, and elsewhere every ten
-            seconds unless messages of tactorch are logged.
+        show: Whether it is shown; by default at a terminal, in a notebook, and elsewhere by a line
+            where nothing was logged for eight seconds.
 
     Yields:
         A function to call with the state of the computation, as text.
@@ -119,8 +122,7 @@ def _new_line(forced: bool) -> _Line | None:
         return _NotebookLine()
     if forced or is_terminal(sys.stderr):
         return _TerminalLine()
-    # Messages in the log tell as much.
-    return None if _log.isEnabledFor(logging.INFO) else _PlainLine()
+    return _LogLine() if _log.isEnabledFor(logging.INFO) else _PlainLine()
 
 
 def in_notebook() -> bool:
@@ -164,43 +166,78 @@ class _TerminalLine:
         self._bar.stop()
 
 
-class _NotebookLine:
-    """A line of a notebook's output that is replaced, without widgets."""
+class _PlainLine:
+    """Lines with seconds between them, written by another thread: the state may not change."""
+
+    period_s = _PLAIN_PERIOD_S
 
     def __init__(self) -> None:
-        self._start, self._shown, self._text = time.monotonic(), -_PERIOD_S, ""
-        self._handle: Any = None
+        self._start = self._last = time.monotonic()
+        self._text, self._closed = "", threading.Event()
+        threading.Thread(target=self._repeat, daemon=True).start()
 
     def show(self, text: str) -> None:
-        self._text, now = text, time.monotonic()
-        if now - self._shown >= _PERIOD_S:
-            self._shown = now
-            self._display(f"{text} ({now - self._start:.0f} s)")
+        self._text = text
+        self.write_when_due()
+
+    def write_when_due(self) -> None:
+        """Write the state, if nothing was written for a while."""
+        now = time.monotonic()
+        if now - self._last >= self.period_s:
+            self._last = now
+            self._write(f"{self._text} ({now - self._start:.0f} s)")
 
     def close(self, seconds: float) -> None:
-        self._display("" if seconds < _BRIEF_S else f"{self._text} ({seconds:.1f} s)")
+        self._closed.set()
 
-    def _display(self, text: str) -> None:
+    def _write(self, line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+
+    def _repeat(self) -> None:
+        while not self._closed.wait(_TICK_S):
+            self.write_when_due()
+
+
+class _NotebookLine(_PlainLine):
+    """A line of a notebook's output that is replaced, without widgets."""
+
+    period_s = _PERIOD_S
+
+    def __init__(self) -> None:
+        self._handle: Any = None
+        super().__init__()
+        self._last -= self.period_s
+
+    def close(self, seconds: float) -> None:
+        super().close(seconds)
+        self._write("" if seconds < _BRIEF_S else f"{self._text} ({seconds:.1f} s)")
+
+    def _write(self, line: str) -> None:
         from IPython.display import HTML, display
 
-        shown = HTML(f"<pre>{html.escape(text)}</pre>" if text else "")
+        shown = HTML(f"<pre>{html.escape(line)}</pre>" if line else "")
         if self._handle is None:
             self._handle = display(shown, display_id=True)
         else:
             self._handle.update(shown)
 
 
-class _PlainLine:
-    """Lines on the standard error output, with seconds between them."""
+class _LogLine(_PlainLine, logging.Handler):
+    """Such lines in the log, where no other message was logged meanwhile."""
 
     def __init__(self) -> None:
-        self._start = self._last = time.monotonic()
+        logging.Handler.__init__(self)
+        _PlainLine.__init__(self)
+        _log.addHandler(self)
 
-    def show(self, text: str) -> None:
-        now = time.monotonic()
-        if now - self._last >= _PLAIN_PERIOD_S:
-            self._last = now
-            print(f"{text} ({now - self._start:.0f} s)", file=sys.stderr, flush=True)
+    def emit(self, record: logging.LogRecord) -> None:
+        """Note the time of a message."""
+        self._last = time.monotonic()
 
-    def close(self, seconds: float) -> None:
-        pass
+    def close(self, seconds: float = 0.0) -> None:
+        _log.removeHandler(self)
+        _PlainLine.close(self, seconds)
+        logging.Handler.close(self)
+
+    def _write(self, line: str) -> None:
+        _log.info("%s", line)

@@ -134,20 +134,42 @@ def test_a_script_without_a_terminal_gets_a_line_now_and_then(
             clock.now = 100.0 + second
             update(f"iteration {second}")
     assert capsys.readouterr().err.splitlines() == [
-        "inversion: iteration 10 (10 s)",
-        "inversion: iteration 20 (20 s)",
+        "inversion: iteration 8 (8 s)",
+        "inversion: iteration 16 (16 s)",
+        "inversion: iteration 24 (24 s)",
     ]
 
 
-def test_where_messages_are_logged_there_are_no_further_lines(
-    clock: Clock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_where_messages_are_logged_silence_is_broken_in_the_log(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(progress, "is_terminal", lambda _: False)
-    monkeypatch.setattr(progress._log, "isEnabledFor", lambda level: True)
+    caplog.set_level(logging.INFO, "tactorch")
+    handlers = list(logging.getLogger("tactorch").handlers)
     with progress_line("inversion") as update:
-        clock.now += 60.0
-        update("iteration 1")
-    assert capsys.readouterr().err == ""
+        clock.now += 6.0
+        logging.getLogger("tactorch.inverse").info("iteration 1")
+        clock.now += 6.0
+        update("iteration 2")
+        clock.now += 6.0
+        update("iteration 3")
+    assert caplog.messages == ["iteration 1", "inversion: iteration 3 (18 s)"]
+    assert logging.getLogger("tactorch").handlers == handlers
+
+
+def test_a_computation_without_a_new_state_gives_signs_of_life(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "is_terminal", lambda _: False)
+    monkeypatch.setattr(progress._log, "isEnabledFor", lambda level: False)
+    monkeypatch.setattr(progress._PlainLine, "period_s", 0.05)
+    monkeypatch.setattr(progress, "_TICK_S", 0.01)
+    with progress_line("inversion"):
+        time.sleep(0.5)
+    count = capsys.readouterr().err.count("inversion (0 s)")
+    assert count >= 2
+    time.sleep(0.2)
+    assert not capsys.readouterr().err
 
 
 @pytest.fixture

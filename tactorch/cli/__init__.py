@@ -3,6 +3,7 @@
 import os
 import sys
 from importlib import import_module
+from threading import Event, Thread
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -10,6 +11,9 @@ if TYPE_CHECKING:
 
 __all__ = ["COMMANDS", "GROUPS", "VERBS", "main"]
 
+#: Set when a command runs, and gives signs of life itself.
+STARTED = Event()
+_SOON_S, _PERIOD_S = 0.7, 8.0
 _HELP = ("-h", "--help", "help")
 VERBS = {
     "simulate": "press a phantom and record how its surface moves",
@@ -53,8 +57,11 @@ COMMANDS = (
 
 def main(arguments: list[str] | None = None) -> None:
     """Run `tactorch VERB [settings]`; ends the process with a status other than 0 on errors."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments is None and words:
+        Thread(target=_say_starting, args=words[:1], daemon=True).start()
     try:
-        app = _dispatch(list(sys.argv[1:] if arguments is None else arguments))
+        app = _dispatch(words)
         if app is not None:
             app.run()
         sys.stdout.flush()
@@ -65,6 +72,16 @@ def main(arguments: list[str] | None = None) -> None:
 
         print("tactorch: interrupted", file=sys.stderr)
         sys.exit(INTERRUPTED)
+    finally:
+        STARTED.set()
+
+
+def _say_starting(verb: str) -> None:
+    """Print a first line, and others until the command starts: packages take seconds to import."""
+    wait_s = _SOON_S
+    while not STARTED.wait(wait_s):
+        print(f"tactorch {verb}: working ...", file=sys.stderr, flush=True)
+        wait_s = _PERIOD_S
 
 
 def _dispatch(words: list[str]) -> "App | None":

@@ -10,7 +10,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from tactorch.cli import console
+from tactorch.cli import STARTED, console
 from tactorch.cli.compose import SEARCH_PACKAGE, build_options, store_config
 from tactorch.cli.existing import CONTINUING, check_file, check_run_folder
 from tactorch.cli.overrides import (
@@ -26,6 +26,7 @@ from tactorch.cli.schema import command_module, load_schema
 from tactorch.cli.sweep import Job, register_names, summarize
 from tactorch.config.targets import trust
 from tactorch.errors import ConfigError, FileError, TactorchError
+from tactorch.progress import progress_line
 from tactorch.text import printable
 
 if TYPE_CHECKING:
@@ -118,6 +119,7 @@ class App:
         from hydra.core.hydra_config import HydraConfig
 
         self._started = True
+        STARTED.set()
         self._place = Path(HydraConfig.get().runtime.output_dir)
         failures = self._failures
         result = self._run(cfg)
@@ -138,7 +140,9 @@ class App:
             # Where a progress bar shows the iterations, their lines go to the log file only.
             has_bar = console.is_rich(sys.stderr) and console.is_rich()
             lines = console.terminal_log(console.is_no_iteration) if has_bar else nullcontext()
-            with _plain_warnings(), lines:
+            at_terminal = console.is_rich(sys.stderr)  # which shows parts of the command
+            whole = nullcontext() if at_terminal else progress_line(self.command)
+            with _plain_warnings(), lines, whole:
                 return command_module(self.command).run(options)
         except TactorchError as error:
             self._report(str(error))

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
 
 from tactorch.errors import FileError
-from tactorch.progress import is_terminal, without_progress
+from tactorch.progress import is_terminal, progress_line, without_progress
 from tactorch.text import printable
 
 #: Exit statuses other than 0: of wrong input, and of Ctrl-C.
@@ -160,12 +160,12 @@ class ProgressCallback(Protocol):
 @contextmanager
 def progress(label: str, items: str) -> Iterator[ProgressCallback]:
     """Show the progress of a computation: a bar at a terminal, else some lines in the log."""
-    with without_progress():
-        if is_rich(sys.stderr):
-            with _bar(label, items) as update:
-                yield update
-        else:
-            yield _log_progress(label, items)
+    if is_rich(sys.stderr):
+        with without_progress(), _bar(label, items) as update:
+            yield update
+    else:
+        with progress_line(label) as show:
+            yield _log_progress(label, items, show)
 
 
 @contextmanager
@@ -187,8 +187,8 @@ def _bar(label: str, items: str) -> Iterator[ProgressCallback]:
         yield update
 
 
-def _log_progress(label: str, items: str) -> ProgressCallback:
-    """Return a function that logs the progress when another tenth is done."""
+def _log_progress(label: str, items: str, show: Callable[[str], None]) -> ProgressCallback:
+    """Return a function that shows the progress, and logs it when another tenth is done."""
     last_part, done_before, start = 0, -1, 0.0
 
     def update(done: int, total: int, note: str = "") -> None:
@@ -196,11 +196,12 @@ def _log_progress(label: str, items: str) -> ProgressCallback:
         if done_before < 0:  # an earlier run may have done some
             done_before, start = done, time.monotonic()
         part = _LINES * done // max(total, 1)
-        if part <= last_part:
-            return
-        last_part = part
         left = (time.monotonic() - start) * (total - done) / max(done - done_before, 1)
         rest = f", about {left:.0f} s left" if done_before < done < total and left >= 1 else ""
-        log.info("%s: %d of %d %s%s%s", label, done, total, items, note, rest)
+        state = f"{done} of {total} {items}{note}{rest}"
+        if part > last_part:
+            last_part = part
+            log.info("%s: %s", label, state)
+        show(state)
 
     return update

@@ -12,8 +12,8 @@
 
 The field is described by inclusions in a background, or by one modulus per element (method=map),
 as the presses support. The run folder gets reconstruction.h5 and .vtu, slices.png, summary.json and
-.txt, finding.json and .txt, and of an element map convergence.png. Ctrl-C keeps the best element
-map so far.
+.txt, finding.json and .txt, and of an element map convergence.png. Ctrl-C keeps the inclusions
+accepted so far, or the best element map.
 """
 
 from dataclasses import dataclass

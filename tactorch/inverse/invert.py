@@ -126,7 +126,8 @@ def invert(
         _log.warning("%s", warning)
         return element_map().with_warning(warning)
     is_explained = not found.reasons and found.chi2 <= _MAX_CHI2
-    if settings.method == "inclusions" or is_explained:
+    interrupted = found.stop_reason == StopReason.INTERRUPTED
+    if settings.method == "inclusions" or is_explained or interrupted:
         return found
     _log.info("Inclusions do not explain the presses; the element map is computed too.")
     return better_of(found, element_map(), recording, settings)

@@ -11,7 +11,7 @@ from tactorch.errors import ConfigError
 from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.fem.contact import Ball
 from tactorch.fem.indentation import BallPlace, Indentation
-from tactorch.inverse import NuisancePrior, Settings, find_shapes, invert_map
+from tactorch.inverse import NuisancePrior, Settings, find_shapes, invert, invert_map
 from tactorch.inverse.data.observations import CorrelatedNoise
 from tactorch.inverse.fit.starts import homogeneous
 from tactorch.inverse.forward.palpation import (
@@ -19,6 +19,7 @@ from tactorch.inverse.forward.palpation import (
     group_places,
     is_palpation,
 )
+from tactorch.inverse.search.palpation import _Search
 from tactorch.mesh import TetMesh, box_mesh, face_nodes
 from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Recording
 
@@ -188,3 +189,20 @@ def test_a_ball_clear_of_the_object_or_pulled_is_refused(with_lump: Recording) -
     problem = PalpationProblem(replace(with_lump, presses=pulled))
     with pytest.raises(ConfigError, match="pull the ball"):
         _ = problem.contact_mpa
+
+
+def test_ctrl_c_keeps_the_inclusions_found_so_far(
+    with_lump: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    improve = _Search.improve
+
+    def interrupted(self: _Search, max_shapes: int) -> bool:
+        if self.model.fit.field.parts:
+            raise KeyboardInterrupt
+        return improve(self, max_shapes)
+
+    monkeypatch.setattr(_Search, "improve", interrupted)
+    found = invert(with_lump)
+    assert found.stop_reason == "interrupted"
+    assert len(found.lumps) == 1
+    assert "The search was interrupted: there may be more inclusions." in found.warnings

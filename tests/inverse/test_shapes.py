@@ -356,6 +356,16 @@ def test_a_search_can_be_stopped(recording):
     assert len(calls) == 4
 
 
+def test_ctrl_c_ends_a_search_with_the_last_accepted_model(uniform_recording, monkeypatch):
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tactorch.inverse.search.search.propose", interrupted)
+    result = find_shapes(uniform_recording)
+    assert result.interrupted
+    assert [record["model"] for record in result.history] == ["uniform", "final fit"]
+
+
 @pytest.mark.slow
 def test_a_stopped_search_goes_on_from_what_it_reached(recording):
     first = []

@@ -7,7 +7,7 @@ import numpy as np
 
 from tactorch.config import to_mapping
 from tactorch.inverse.errors import ERRORS
-from tactorch.inverse.fit.monitor import Monitor
+from tactorch.inverse.fit.monitor import Monitor, StopReason
 from tactorch.inverse.fit.objective import Objective
 from tactorch.inverse.fit.optimizers.base import Optimizer
 from tactorch.inverse.fit.settings import Settings
@@ -24,6 +24,7 @@ from tactorch.versions import versions
 # Part of the displacements that is neither explained nor noise, above which nothing can be told.
 _MAX_UNEXPLAINED = 0.1
 _MIN_PROBABILITY = 0.9  # of a lump that is reported
+_COMPLETE = "no further model has more evidence"
 _SAMPLES = 4  # along an edge of an element, for its mean modulus
 _MAX_AT_BOUNDS = 0.2  # fraction of the volume at the bounds in a map that can be trusted
 
@@ -41,7 +42,7 @@ def of_inclusions(
         youngs=element_means(recording.mesh, shapes.youngs_at, _SAMPLES),
         displacements=moved if predictions is None else predictions.displacements,
         history=history,
-        stop_reason="no further model has more evidence",
+        stop_reason=str(StopReason.INTERRUPTED) if shapes.interrupted else _COMPLETE,
         seconds=seconds,
         config=config,
         predicted=None if predictions is None else predictions.data,
@@ -76,8 +77,10 @@ def _reasons_of(result: ShapeReconstruction) -> tuple[str, ...]:
 
 
 def _warnings_of(result: ShapeReconstruction) -> tuple[str, ...]:
-    """Return a sentence on each error of the measurement that the data show."""
+    """Return a sentence on each error of the measurement that the data show, and on the search."""
     texts = [error.sentence(result.errors.get(error.name, 0.0)) for error in ERRORS]
+    if result.interrupted:
+        texts.append("The search was interrupted: there may be more inclusions.")
     return tuple(filter(None, texts))
 
 

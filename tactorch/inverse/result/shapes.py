@@ -104,6 +104,7 @@ class ShapeReconstruction(Displayed):
         predictions: Predictions of the presses; None where the result comes from a file.
         held_out: How well a contact is predicted from the others; None where it is not known. See
             `tactorch.inverse.search.held_out`.
+        interrupted: Whether Ctrl-C ended the search, so that there may be more inclusions.
     """
 
     field: ShapeField
@@ -117,6 +118,7 @@ class ShapeReconstruction(Displayed):
     history: tuple[dict[str, Any], ...] = ()
     predictions: Predictions | None = None
     held_out: float | None = None
+    interrupted: bool = False
 
     def summary(self) -> str:
         """Return a description of the result in a few lines of text."""

@@ -1,6 +1,7 @@
 """Models of the search for shapes: fields with errors of the data, and what follows from them."""
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -18,6 +19,8 @@ from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.inverse.search.held_out import held_out_score
 from tactorch.recording import Recording
+
+_log = logging.getLogger(__name__)
 
 # Gain of the log-evidence for a model that is accepted: strong evidence by R. E. Kass and A. E.
 # Raftery, "Bayes factors", J. Am. Stat. Assoc. 90 (1995), 773-795.
@@ -92,6 +95,29 @@ def falls_short(fit: ShapeFit, fall: float, rival: ShapeFit, margin: float = 0.0
     misfit = max(0.0, fit.misfit - fall)
     best = replace(fit, misfit=misfit, chi2=2.0 * misfit / len(fit.residuals))
     return gain(best, rival) < -margin
+
+
+def improve(step: Callable[[int], bool], models: int) -> bool:
+    """Accept models, by a step each, until there is no better one, or Ctrl-C.
+
+    Args:
+        step: Function of the number of the model, from 2, which returns whether it was accepted.
+        models: Largest number of accepted models.
+
+    Returns:
+        Whether Ctrl-C ended it. The last accepted model is then the result.
+    """
+    try:
+        for number in range(2, models + 2):
+            if not step(number):
+                break
+    except KeyboardInterrupt:
+        _log.warning(
+            "Ctrl-C: the search ends with the last accepted model, whose intervals are computed. "
+            "Ctrl-C again ends at once."
+        )
+        return True
+    return False
 
 
 def record(what: str, fit: ShapeFit) -> dict[str, Any]:

@@ -33,6 +33,7 @@ from tactorch.inverse.search.model import (
     Start,
     falls_short,
     gain,
+    improve,
     make_posterior,
     record,
     unexplained,
@@ -319,9 +320,12 @@ def find_palpation_shapes(
     with progress_line("search for inclusions") as update:
         update("uniform body")
         search = _Search(recording, settings, stop)
-        for number in range(2, max_models + 2):
+
+        def step(number: int) -> bool:
             update(f"model {number}")
-            if not search.improve(max_shapes):
-                break
+            return search.improve(max_shapes)
+
+        interrupted = improve(step, max_models)
         update("final fit")
-        return with_predictions(search.result(), search.model, recording)
+        result = replace(search.result(), interrupted=interrupted)
+        return with_predictions(result, search.model, recording)

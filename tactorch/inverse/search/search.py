@@ -12,6 +12,7 @@ accepted.
 import logging
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 from tactorch.config.registry import unknown_choice
@@ -30,6 +31,7 @@ from tactorch.inverse.search.model import (
     Proposal,
     Start,
     gain,
+    improve,
     record,
     unexplained,
     with_predictions,
@@ -110,23 +112,29 @@ def _search(
     """Accept models of more evidence until there is none; return the last one, and the result."""
     update("first model")
     model, history = _first(problem, start)
+
+    def step(number: int) -> bool:
+        nonlocal model
+        update(f"model {number}, predictions of proposals")
+        proposals = propose(problem, model, max_shapes)
+        update(f"model {number}")
+        if (accepted := _accept(problem, model, proposals)) is None:
+            return False
+        proposal, model = accepted
+        model = problem.precise(model)
+        history.append(record(proposal.what, model.fit))
+        return True
+
     try:
-        for number in range(2, _MAX_MODELS + 2):
-            update(f"model {number}, predictions of proposals")
-            proposals = propose(problem, model, max_shapes)
-            update(f"model {number}")
-            if (accepted := _accept(problem, model, proposals)) is None:
-                break
-            proposal, model = accepted
-            model = problem.precise(model)
-            history.append(record(proposal.what, model.fit))
+        interrupted = improve(step, _MAX_MODELS)
         update("final fit")
         model = _final(problem, model)
         update("posterior")
         best, posterior = final_posterior(problem, model)
         if best is not model:
             history.append(record("balls as ellipsoids", best.fit))
-        return best, _result(problem, best, posterior, history)
+        result = _result(problem, best, posterior, history)
+        return best, replace(result, interrupted=interrupted)
     except CancelledError as error:
         error.reached = ShapeState(model.fit.field, model.fit.z, model.errors)
         raise
