@@ -14,15 +14,23 @@ if TYPE_CHECKING:
 VIEWS: dict[str, Callable[..., Any]] = {}
 
 
-class Displayed(ABC):
-    """An object with a summary, a figure and a view in three dimensions.
-
-    Notebooks show the summary and the figure where an object is the last value of a cell.
-    """
+class Summarized(ABC):
+    """An object that prints as a few lines."""
 
     @abstractmethod
     def summary(self) -> str:
         """Return a description in a few lines of text."""
+
+    def __repr__(self) -> str:
+        lines = self.summary().splitlines()
+        return "\n  ".join([type(self).__name__, *lines])
+
+
+class Displayed(Summarized):
+    """An object with a summary, a figure and a view in three dimensions.
+
+    Notebooks show the summary and the figure where an object is the last value of a cell.
+    """
 
     def plot(self, **options: Any) -> "Figure":
         """Return a figure. `tactorch.viz.figures` lists figures and options for each type."""
@@ -48,10 +56,6 @@ class Displayed(ABC):
             ConfigError: PyVista is not installed, or there is no window system, notebook or file.
         """
         VIEWS["show"](self, screenshot, **options)
-
-    def __repr__(self) -> str:
-        lines = self.summary().splitlines()
-        return "\n  ".join([type(self).__name__, *lines])
 
     def _repr_html_(self) -> str:
         """Return the summary and the figure for a notebook."""

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from tactorch.display import Summarized
 from tactorch.errors import MeshError
 from tactorch.mesh import TetMesh
 
@@ -28,8 +29,8 @@ _MAX_VOLUME_FRACTION = 0.5  # a larger region is background
 _MAX_ITERATIONS, _CANDIDATE_LEVELS = 50, 100
 
 
-@dataclass(frozen=True, eq=False)
-class Inclusion:
+@dataclass(frozen=True, eq=False, repr=False)
+class Inclusion(Summarized):
     """A connected region that is stiffer or softer than the background.
 
     Attributes:
@@ -49,6 +50,14 @@ class Inclusion:
     background_mpa: float
     elements: Mask
     side: Side
+
+    def summary(self) -> str:
+        """Return location, size and moduli in a line of text."""
+        center = ", ".join(f"{x:.2f}" for x in self.center_mm)
+        return (
+            f"{self.side}, at ({center}) mm, radius {self.equivalent_radius_mm:.3g} mm: "
+            f"{self.mean_mpa:.3g} in {self.background_mpa:.3g} MPa"
+        )
 
     @staticmethod
     def measure(

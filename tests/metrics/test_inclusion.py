@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import MeshError
+from tactorch.inverse.result.lump import Depth, Lump
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.metrics import contrast_recovery, dice, find_inclusion, position_error_mm, scores
 
@@ -38,6 +39,10 @@ def test_finds_a_stiff_block(mesh: TetMesh, cells: Cells) -> None:
     assert found.volume_mm3 == pytest.approx(2.0)
     assert found.equivalent_radius_mm == pytest.approx((2.0 * 3 / (4 * math.pi)) ** (1 / 3))
     assert found.mean_mpa == pytest.approx(1.0)
+    line = "stiff, at (1.00, 0.50, 0.50) mm, radius 0.782 mm: 1 in 0.2 MPa"
+    assert str(found).splitlines() == ["Inclusion", f"  {line}"]
+    lump = Lump(found, np.array([2.0, 1.0, 1.0]), Depth(3.5, 3.0, np.eye(3)[2], np.zeros(3)), None)
+    assert str(lump).splitlines() == ["Lump", f"  {line}, 3.5 mm deep"]
     assert found.background_mpa == pytest.approx(0.2)
     assert found.contrast == pytest.approx(5.0)
     assert found.side == "stiff"

@@ -190,3 +190,11 @@ def test_regions_of_a_mesh_are_shown(mesh: TetMesh) -> None:
     assert len(marked.plot().axes) == 2  # with a colour bar
     assert "regions: 0, 1" in marked.summary()
     assert set(marked.to_pyvista().cell_data["region"]) == {0, 1}
+
+
+def test_an_inclusion_prints_in_two_lines(shapes: ShapeReconstruction) -> None:
+    name, line = str(shapes.inclusions[0]).splitlines()
+    assert name == "ShapeInclusion"
+    assert line == f"  {shapes.inclusions[0].summary()}"
+    assert line in str(shapes)
+    assert "(5.00, 5.00, 6.00) mm: radius 2 mm [" in line

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri
 
+from tactorch.display import Summarized
 from tactorch.errors import ConfigError
 from tactorch.inverse.data.plain import to_plain
 from tactorch.inverse.fields import InclusionShape
@@ -118,8 +119,8 @@ class Elongation:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Lump:
+@dataclass(frozen=True, eq=False, repr=False)
+class Lump(Summarized):
     """A lump with its depth and confidence.
 
     Attributes:
@@ -136,6 +137,13 @@ class Lump:
     depth: Depth | None
     confidence: Confidence | None
     elongation: Elongation | None = None
+
+    def summary(self) -> str:
+        """Return location, size and moduli, with depth and probability, in a line of text."""
+        depth = "" if self.depth is None else f", {self.depth.center_mm:.3g} mm deep"
+        known = self.confidence
+        likely = "" if known is None else f", probability {known.probability:.3g}"
+        return f"{self.inclusion.summary()}{depth}{likely}"
 
     def stored(self) -> dict[str, Any]:
         """Return all as plain JSON values; the inverse of `of_stored`."""

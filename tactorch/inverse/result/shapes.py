@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit
 
-from tactorch.display import Displayed
+from tactorch.display import Displayed, Summarized
 from tactorch.inverse.data.plain import to_plain
 from tactorch.inverse.errors import Levels
 from tactorch.inverse.fields import InclusionShape, ShapeField, Sites
@@ -48,8 +48,8 @@ class InclusionValues(NamedTuple):
         return InclusionValues(own.center, *map(np.exp, logs))
 
 
-@dataclass(frozen=True)
-class ShapeInclusion:
+@dataclass(frozen=True, repr=False)
+class ShapeInclusion(Summarized):
     """An inclusion with its uncertainty.
 
     Intervals are central 90 % intervals of the posterior. They account for noise, for rigid motions
@@ -75,6 +75,15 @@ class ShapeInclusion:
     youngs_90_mpa: Interval
     contrast_90: Interval
     probability: float
+
+    def summary(self) -> str:
+        """Return location, size, modulus and probability in a line of text."""
+        center = ", ".join(f"{x:.2f}" for x in self.shape.center_mm)
+        (smallest, largest), (low, high) = self.radius_90_mm, self.youngs_90_mpa
+        return (
+            f"({center}) mm: radius {self.shape.radius_mm:.3g} mm [{smallest:.3g}, {largest:.3g}], "
+            f"{self.youngs_mpa:.3g} MPa [{low:.2g}, {high:.2g}], probability {self.probability:.3g}"
+        )
 
 
 class ShapeState(NamedTuple):
@@ -127,15 +136,7 @@ class ShapeReconstruction(Displayed):
             f"{count} inclusion{'' if count == 1 else 's'} in {self.background_mpa:.3g} MPa, "
             f"chi2 {self.chi2:.3g}"
         ]
-        for found in self.inclusions:
-            center = ", ".join(f"{x:.2f}" for x in found.shape.center_mm)
-            (smallest, largest), (low, high) = found.radius_90_mm, found.youngs_90_mpa
-            lines.append(
-                f"({center}) mm: radius {found.shape.radius_mm:.3g} mm [{smallest:.3g}, "
-                f"{largest:.3g}], {found.youngs_mpa:.3g} MPa [{low:.2g}, {high:.2g}], "
-                f"probability {found.probability:.3g}"
-            )
-        return "\n".join(lines)
+        return "\n".join([*lines, *(found.summary() for found in self.inclusions)])
 
     @property
     def force_deviation(self) -> float:
