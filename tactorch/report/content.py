@@ -28,6 +28,7 @@ _MAX_FACTOR = 2.0  # an interval of a larger factor is reported as a limitation
 _MIN_VOLUME = 0.02  # fraction of the volume from which it is reported
 _MAX_LISTED, _LISTED = 100, 20  # presses up to which all are shown, and the number of those of more
 _MAX_FIT = 1.5  # standard deviations; a larger residual is reported
+_IN_SD, _UNKNOWN = "Residual (SD)", "–"
 _BIASED = "total_variation"  # prior that shrinks contrasts
 # Title of each score and the best value: the minimum, the maximum, or 1.
 _SCORES = {
@@ -215,12 +216,15 @@ class RunReport:
             force = f"{np.linalg.norm(press.total_force):.3g}"
             residual = (_number(1e3 * fit.rms_mm), _number(fit.rms_deviations, 2))
             rows.append([press_label(k + 1, press), force, _number(1e3 * size, 4), *residual])
-        header = ["Press", "Force (N)", "Displacement, RMS (µm)", "Residual, RMS (µm)"]
+        header = ["Press", "Force (N)", "Displacement, RMS (µm)", "Residual, RMS (µm)", _IN_SD]
+        # A palpation has no displacements.
+        known = [k for k in range(len(header)) if any(row[k] != _UNKNOWN for row in rows)]
+        rows = [[row[k] for k in known] for row in rows]
         caption = "Residual of each press"
         if len(self.listed) < len(self.fits):
             caption = f"Presses of the largest residuals, of {len(self.fits)}"
         caption += " (SD: standard deviations)"
-        return Table(caption, [*header, "Residual (SD)"], rows)
+        return Table(caption, [header[k] for k in known], rows)
 
     @property
     def drawn(self) -> list[int]:
@@ -262,7 +266,7 @@ def _rms(values: Float[np.ndarray, "*n"]) -> float:
 
 
 def _number(value: float | None, digits: int = 3) -> str:
-    return "–" if value is None or math.isnan(value) else f"{value:.{digits}g}"
+    return _UNKNOWN if value is None or math.isnan(value) else f"{value:.{digits}g}"
 
 
 def _prior(run: Run) -> Any:

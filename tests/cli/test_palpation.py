@@ -65,6 +65,8 @@ def test_a_palpation_becomes_a_map_a_finding_and_a_report(
     page = (run / "report.html").read_text()
     assert "Presses of the largest residuals, of 108" in page
     assert ">nan<" not in page
+    assert "Residual (SD)" in page
+    assert "Displacement, RMS" not in page
     # Figures of displacements, of which a palpation has none, would stop the page's script.
     assert 'id="press"' not in page
     assert "no observed displacements to draw" in page
