@@ -11,6 +11,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
+from tactorch import files
 from tactorch.config.targets import TARGET
 from tactorch.config.values import leaves
 from tactorch.errors import ConfigError, FileError
@@ -146,13 +147,7 @@ def _programs(value: Any, is_name: bool = False) -> Iterator[str]:
 
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the table in a YAML file."""
-    import yaml
-
-    try:
-        content = yaml.load(path.read_bytes(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"'{path}' cannot be read ({reason}); repair it.") from error
+    content = files.read_yaml(path, f"'{path}'", ConfigError)
     if not isinstance(content, dict | None):
         raise ConfigError(f"'{path}' does not hold a table of settings; write KEY: VALUE lines.")
     return {str(key): value for key, value in (content or {}).items()}

@@ -15,8 +15,8 @@ from tactorch.cli.overrides import check_overrides, key_of
 from tactorch.cli.presets import PROGRAM
 from tactorch.cli.schema import Schema, app_name
 from tactorch.config.values import leaves
-from tactorch.errors import ConfigError, FileError
-from tactorch.files import require_file, require_folder
+from tactorch.errors import ConfigError, FileError, TactorchError
+from tactorch.files import read_yaml, require_file, require_folder
 
 CHECKPOINT = "checkpoint.npz"
 # Files that show that a run of a command got as far as having a state.
@@ -105,7 +105,10 @@ def _load(path: Path) -> Any:
 
     require_file(path, "settings of the run")
     try:
+        read_yaml(path, f"'{path}'")  # bounded, as OmegaConf is not
         return OmegaConf.to_container(OmegaConf.load(path))
+    except TactorchError:
+        raise
     except Exception as error:  # whatever a damaged YAML file leads to
         reason = " ".join(str(error).split())
         raise FileError(f"'{path}' cannot be read ({reason}); start the run again.") from error
