@@ -276,6 +276,6 @@ def test_videos_of_too_many_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     path = tmp_path / "press.avi"
     path.write_bytes(video(tmp_path))
-    monkeypatch.setattr(sources, "_MAX_PIXELS", 1000)
+    monkeypatch.setattr(sources, "MAX_PIXELS", 1000)
     with pytest.raises(FileError, match=r"press\.avi' is too large: 64 x 48 px"):
         list(read_frames(path, SENSOR, IMAGE))
