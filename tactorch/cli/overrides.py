@@ -68,6 +68,7 @@ def check_overrides(
     # The settings of all options that are chosen; a sweep chooses several.
     picked = {group: str(option) for group, option in chosen}
     choices = schema.resolve(picked)
+    schema.check(choices)
     entries = schema.entries(choices)
     for group, option in chosen:
         entries |= schema.entries(schema.resolve({**picked, group: str(option)}))

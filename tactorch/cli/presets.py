@@ -6,7 +6,7 @@ settings: nothing in them reaches Hydra's own settings, by which a file could ru
 
 import importlib.util
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -38,17 +38,21 @@ def conf_folder() -> Path:
     raise FileError(f"the presets ({PACKAGE}) are not installed; reinstall tactorch.")
 
 
-def add_presets(folder: Path, group: dict[str, Any]) -> None:
+def add_presets(
+    folder: Path, group: dict[str, Any], component: Callable[[str], Entry] | None = None
+) -> None:
     """Add the presets in a folder to the options of a group.
+
+    `component` describes an option of the group, which may have to be imported for it.
 
     A preset names a component (`name`), or inherits from another option, or changes the settings of
     a group that has one class; what it leaves out has the typed defaults.
     """
     for path in sorted(folder.glob("*.yaml")):
-        _add_preset(path, group)
+        _add_preset(path, group, component or group["options"].__getitem__)
 
 
-def _add_preset(path: Path, group: dict[str, Any]) -> None:
+def _add_preset(path: Path, group: dict[str, Any], describe: Callable[[str], Entry]) -> None:
     values, options = read_yaml(path), group["options"]
     values.pop(TARGET, None)  # an option already, of the name of the file
     inherited, overrides = _read_defaults(values.pop("defaults", ()), path)
@@ -56,12 +60,14 @@ def _add_preset(path: Path, group: dict[str, Any]) -> None:
     if group["settings"] is None and not inherited:
         component = str(values.pop("name", path.stem))
     if inherited and inherited not in options:
-        _add_preset(path.with_name(f"{inherited}.yaml"), group)
+        _add_preset(path.with_name(f"{inherited}.yaml"), group, describe)
     if component and component not in options:
         raise ConfigError(
             f"'{path}': name={component} is unknown; choose one of {', '.join(options)}."
         )
-    base = options[component] if component else {"component": "", "help": ""}
+    base = describe(component) if component else {"component": "", "help": ""}
+    if "error" in base:
+        raise ConfigError(f"'{path}': {base['error']}")
     settings = base.get("settings", group["settings"])
     names = {entry["name"] for entry in settings}
     changed = dict(leaves(values, names))
