@@ -11,10 +11,11 @@ import io
 import math
 import os
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, BinaryIO
-from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
+from zipfile import ZIP_DEFLATED, ZIP_LZMA, ZIP_STORED, ZipFile, ZipInfo
 
 from tactorch.errors import ConfigError, FileError, TactorchError
 
@@ -31,7 +32,10 @@ MAX_DEPTH = 32
 MAX_YAML = 1_000_000
 #: Pixels of a picture, and of a frame of a video.
 MAX_PIXELS = 100_000_000
-_PIECE = 1 << 12  # of compressed data; bzip2 and LZMA expand it to 100 MB at most
+_MAX_EXPANDED = 10**7  # characters of settings that refer to others
+_MAX_WORD = 20_000  # characters of a setting as typed, which take a second
+_PIECE = 1 << 12  # of compressed data; LZMA expands it to 30 MB at most, bzip2 to GB
+_PACKERS = (ZIP_STORED, ZIP_DEFLATED, ZIP_LZMA)
 
 
 def max_bytes() -> int:
@@ -167,7 +171,9 @@ def check_deflated(path: Path, file: BinaryIO) -> None:
 
 
 def check_archive(path: object, archive: ZipFile, copies: float = 1.0) -> None:
-    """Refuse an archive whose unpacked members, in `copies`, need too much memory."""
+    """Refuse an archive whose unpacked members, in `copies`, need too much memory, or bzip2."""
+    if any(entry.compress_type not in _PACKERS for entry in archive.infolist()):
+        raise FileError(f"{_name(path)} is compressed by bzip2, which is not read; pack it anew.")
     total = sum(entry.file_size for entry in archive.infolist())
     check_memory(path, f"its unpacked content of {_size(total)}", copies * total)
 
@@ -175,13 +181,12 @@ def check_archive(path: object, archive: ZipFile, copies: float = 1.0) -> None:
 def unpack(archive: ZipFile, entry: ZipInfo) -> bytearray:
     """Return a member of an archive, after `check_archive`; its checksum is verified.
 
-    `ZipFile.read` expands all of a member that is compressed by bzip2 or LZMA, whatever its size is
-    said to be.
+    `ZipFile.read` expands all of a member that is compressed by LZMA, whatever its size is said to
+    be.
     """
-    limited = entry.compress_type in (ZIP_STORED, ZIP_DEFLATED)
     content = bytearray()
     with archive.open(entry) as member:
-        while piece := member.read(1 << 20 if limited else _PIECE):
+        while piece := member.read(_PIECE if entry.compress_type == ZIP_LZMA else 1 << 20):
             content += piece
     return content
 
@@ -195,6 +200,31 @@ def check_depth(source: object, value: Any, error: type[TactorchError] = FileErr
         if not level:
             return
     raise too_deep(source, error)
+
+
+def check_references(source: object, settings: Sequence[str]) -> None:
+    """Refuse settings whose references, ${NAME}, to each other may expand to too much text."""
+    factor = math.prod(max(1, setting.count("${")) for setting in settings)
+    if factor * sum(map(len, settings)) > _MAX_EXPANDED:
+        raise FileError(
+            f"{_name(source)} has settings that refer to others (${{NAME}}) many times, which may "
+            f"expand to more than {_MAX_EXPANDED:.0e} characters; write the values in their place."
+        )
+
+
+def check_words(words: Sequence[str]) -> None:
+    """Refuse settings as typed that Hydra cannot parse in reasonable time, or at all.
+
+    Raises:
+        ConfigError: One is too long, or has brackets within too many others.
+    """
+    for word in words:
+        depths = accumulate((c in "[{(") - (c in "]})") for c in word)
+        if len(word) > _MAX_WORD or max(depths, default=0) > MAX_DEPTH:
+            raise ConfigError(
+                f"the setting '{word[:40]}...' has more than {_MAX_WORD} characters, or more than "
+                f"{MAX_DEPTH} brackets within each other; give a shorter value."
+            )
 
 
 def too_deep(source: object, error: type[TactorchError] = FileError) -> TactorchError:

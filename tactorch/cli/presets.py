@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tactorch import files
+from tactorch.budget import check_references
 from tactorch.config.targets import TARGET
 from tactorch.config.values import leaves
 from tactorch.errors import ConfigError, FileError
@@ -123,6 +124,7 @@ def _leading_comment(path: Path) -> str:
 
 def check_plain(folder: Path) -> None:
     """Refuse settings of Hydra and names of functions in the files of a folder."""
+    settings: list[str] = []
     for path in sorted(folder.rglob("*.yaml")):
         is_hydra = path.relative_to(folder).parts[0] == "hydra"
         is_hydra = is_hydra or b"@package hydra" in path.read_bytes()
@@ -136,6 +138,8 @@ def check_plain(folder: Path) -> None:
                 "or read the environment; remove it, or add --trust-config-dir if you trust "
                 "everything in that folder."
             )
+        settings += [f"{name}={value}" for name, value in leaves(values)]
+    check_references(folder, settings)
 
 
 def _programs(value: Any, is_name: bool = False) -> Iterator[str]:

@@ -111,7 +111,7 @@ def _parquet(source: Path) -> Sheet:
     except (pyarrow.ArrowException, OSError, ValueError) as error:
         raise FileError(f"'{source}' cannot be read as Parquet: {error}.") from error
     _check_names(source, table.column_names)
-    columns = {name: table.column(name).to_pylist() for name in table.column_names}
+    columns = {name: _cells(table.column(name)) for name in table.column_names}
     return Sheet(source, columns, [f"row {i}" for i in range(table.num_rows)])
 
 
@@ -120,7 +120,22 @@ def _text_columns(source: Path) -> list[str]:
     from pyarrow import parquet, types
 
     schema = parquet.read_schema(source)
+    nested = next((f.name for f in schema if types.is_nested(f.type)), None)
+    if nested is not None:
+        raise FileError(f"'{source}' has a list or table in each row of {nested!r}; remove it.")
     return [f.name for f in schema if types.is_string(f.type) or types.is_binary(f.type)]
+
+
+def _cells(column: Any) -> list[Any]:
+    """Return the cells of a column; equal texts that the file has once are one object."""
+    cells: list[Any] = []
+    for chunk in column.chunks:
+        if not hasattr(chunk, "dictionary"):
+            cells += chunk.to_pylist()
+            continue
+        values = chunk.dictionary.to_pylist()
+        cells += [None if i is None else values[i] for i in chunk.indices.to_pylist()]
+    return cells
 
 
 def _check_rows(source: Path, rows: int, columns: int) -> None:
