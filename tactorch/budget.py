@@ -89,7 +89,7 @@ def check_memory(
         return
     raise error(
         f"{_name(source)} is too large: {claim} would take {_size(needed)} of memory, and one file "
-        f"may take {_size(limit)}; give a smaller file, or set {_VARIABLE}="
+        f"may take {_size(limit)}; give a smaller file, or set TACTORCH_FILE_GIB="
         f"{math.ceil(needed / _GIB)} if its origin is trusted and the memory suffices."
     )
 
@@ -173,7 +173,9 @@ def check_deflated(path: Path, file: BinaryIO) -> None:
 def check_archive(path: object, archive: ZipFile, copies: float = 1.0) -> None:
     """Refuse an archive whose unpacked members, in `copies`, need too much memory, or bzip2."""
     if any(entry.compress_type not in _PACKERS for entry in archive.infolist()):
-        raise FileError(f"{_name(path)} is compressed by bzip2, which is not read; pack it anew.")
+        raise FileError(
+            f"{_name(path)} is compressed by bzip2, which is not read; write it again with deflate."
+        )
     total = sum(entry.file_size for entry in archive.infolist())
     check_memory(path, f"its unpacked content of {_size(total)}", copies * total)
 

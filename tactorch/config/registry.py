@@ -18,7 +18,7 @@ REGISTRIES: dict[str, "Registry"] = {}
 
 
 class Registry:
-    """Components of one kind by name; they are imported when they are first asked for by name.
+    """Components of one kind by name; they are imported when they are first chosen.
 
     An installed package adds its own by an entry point of the group `tactorch.SECTION`:
 
@@ -52,13 +52,11 @@ class Registry:
 
     def base(self) -> Any:
         """Return the class of settings that components derive from; None if they are functions."""
-        from tactorch.config.options import Options
-
         classes = [c for c in map(self.__getitem__, self._paths) if inspect.isclass(c)]
         if not classes:
             return None
         common = next(b for b in classes[0].__mro__ if all(b in c.__mro__ for c in classes))
-        return common if issubclass(common, Options) else Options
+        return common if hasattr(common, "from_mapping") else None
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names."""
