@@ -111,7 +111,7 @@ def _parquet(source: Path) -> Sheet:
     except (pyarrow.ArrowException, OSError, ValueError) as error:
         raise FileError(f"'{source}' cannot be read as Parquet: {error}.") from error
     _check_names(source, table.column_names)
-    columns = {name: _cells(table.column(name)) for name in table.column_names}
+    columns: dict[str, Sequence[Any]] = {n: _cells(table.column(n)) for n in table.column_names}
     return Sheet(source, columns, [f"row {i}" for i in range(table.num_rows)])
 
 
