@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.errors import FileError, RecordingError, TactorchError
-from tactorch.files import checksum, read_json, require_file, require_folder
+from tactorch.files import checksum, parse_json, read_json, require_file, require_folder
 from tactorch.generation.layout import (
     FORMAT,
     MANIFEST,
@@ -128,7 +128,7 @@ class SampleSet:
                 reader.parse_json("facts", reader.attribute("/", "facts", str)),
                 Recording(**reader.fields(), check_units=False),
                 _reconstruction(reader),
-                json.loads(reader.attribute("/", "figures", str)),
+                parse_json(reader.attribute("/", "figures", str), f"figures of '{self.folder}'"),
                 read_touch(reader),
             )
 

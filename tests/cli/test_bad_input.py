@@ -630,7 +630,7 @@ def checkpoint(change: Callable[[Path], object]) -> Spoil:
     ),
     Case(
         "settings of the run damaged",
-        ("overrides.yaml' cannot be read", "start the run again"),
+        ("overrides.yaml' is not valid YAML", "repair it"),
         lambda run: (run / ".hydra" / "overrides.yaml").write_text("- ["),
     ),
     Case(
