@@ -41,8 +41,8 @@ MESH_SUFFIXES = tuple(_MESH_FORMATS)
 #: Name of the regions in the cell data of a file.
 REGION = "region"
 # The names of others, without underscores and capitals: meshio, gmsh, OpenGeoSys, ParaView, SOFA.
-_REGIONS = (REGION, "gmsh:physical", "cellentityids", "materialids", "material", "materialid")
-_REGIONS += ("regionid", "regions", "label", "labels", "celltags", "subdomain", "domain")
+_REGIONS = f"""{REGION} gmsh:physical cellentityids materialids material materialid regionid regions
+label labels celltags subdomain domain""".split()
 _MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 #: Bounding-box diagonals between which an object pressed by hand or robot is plausible, mm.
 PLAUSIBLE_MM = (0.5, 5000.0)

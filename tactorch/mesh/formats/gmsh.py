@@ -46,8 +46,8 @@ class _Block:
     kind: int
     numbers: Float[np.ndarray, " m"]
     nodes: Float[np.ndarray, "m w"]
-    groups: Int[np.ndarray, " m"] | None = None  # of each element
-    entity: tuple[int, int] = (0, 0)
+    groups: Float[np.ndarray, " m"]  # of each element, in formats 1 and 2
+    entity: tuple[int, int] = (0, 0)  # in format 4
 
 
 @dataclass(eq=False)
@@ -84,7 +84,7 @@ class _Numbers:
         if not self._layout:
             values = self._slice(rows * len(kinds), rows)
             return np.asarray(values, dtype=np.float64).reshape(rows, len(kinds))
-        order, size = self._layout
+        order, size = self._layout[0], self._layout[1]
         codes = {"i": "i4", "d": "f8", "n": f"u{size}"}
         kind = np.dtype([(f"f{i}", order + codes[k]) for i, k in enumerate(kinds)])
         table = np.frombuffer(self._slice(rows * kind.itemsize, rows), kind)
@@ -224,21 +224,21 @@ def _read_nodes_4(numbers: _Numbers, version: float, content: _Content) -> None:
 
 
 def _read_nodes_2(data: bytes, layout: str, parametric: bool, content: _Content) -> None:
-    """Read nodes of formats 1 and 2, whose number is text."""
+    """Read nodes of formats 1 and 2: their number is text, and rows with parameters differ."""
     head, _, rest = data.lstrip().partition(b"\n")
-    count, numbers = int(head), _Numbers(b"", layout)
-    if parametric and not layout:  # rows differ in length
-        lines = [line.split()[:4] for line in rest.split(b"\n") if line.strip()]
-        rest = b" ".join(word for line in lines for word in line)
-    if parametric and layout:
-        numbers, rows = _Numbers(rest, layout), []
+    count = int(head)
+    if not parametric:
+        table = _Numbers(rest, layout).take("iddd", count)
+    elif layout:
+        numbers, rows = _Numbers(rest, layout), list[list[float]]()
         while len(rows) < count:
-            *row, dimension, _ = numbers.take("idddii")[0]
-            numbers.take("d" if dimension in (1.0, 2.0) else "", int(dimension))  # parameters
+            *row, dimension, _ = numbers.take("idddii")[0].tolist()
+            numbers.take("d" * int(dimension) if dimension in (1.0, 2.0) else "")  # parameters
             rows.append(row)
         table = np.array(rows)
     else:
-        table = _Numbers(rest, layout).take("iddd", count)
+        words = (line.split()[:4] for line in rest.split(b"\n"))
+        table = _Numbers(b" ".join(b" ".join(row) for row in words), "").take("iddd", count)
     content.add_nodes(table[:, 0], table[:, 1:])
 
 
@@ -285,7 +285,7 @@ def _read_elements_4(numbers: _Numbers, version: float, content: _Content) -> No
         first, second, kind = (int(x) for x in numbers.take("iii")[0])
         rows = numbers.take(integer * (1 + _width(kind)), numbers.one())
         entity = (first, second) if version > 4.0 else (second, first)
-        content.blocks.append(_Block(kind, rows[:, 0], rows[:, 1:], entity=entity))
+        content.blocks.append(_Block(kind, rows[:, 0], rows[:, 1:], np.zeros(0), entity))
 
 
 def _width(kind: int) -> int:
@@ -314,15 +314,17 @@ def _assembled(content: _Content, path: Path) -> MeshFile:
         raise ValueError(f"node {known[1:][known[1:] == known[:-1]][0]:.0f} is defined twice")
     solids = [block for block in content.blocks if _SHAPE.get(block.kind) in SOLIDS]
     others = {_SHAPE.get(block.kind, "vertex") for block in content.blocks} - set(SOLIDS)
-    kept, regions = _with_regions(solids, content, path)
+    by_entity = any(block.entity[0] for block in solids)
+    find = _regions_of_entities if by_entity else _merge_repeated
+    regions = find(solids, content, path) if solids else None
     if regions is None and content.names:
         _log.warning(
             "'%s' names groups of volumes (%s), but no volume is in one: it has no regions. Save "
             "it with Mesh.SaveAll=0.", path, ", ".join(list(content.names.values())[:6]),
         )  # fmt: skip
-    cells = [_cells(block.kind, order[place(block.nodes, known, "node")]) for block in kept]
-    if content.region is not None and kept:
-        numbers = np.concatenate([block.numbers for block in kept])
+    cells = [_cells(block.kind, order[place(block.nodes, known, "node")]) for block in solids]
+    if content.region is not None and solids:
+        numbers = np.concatenate([block.numbers for block in solids])
         rows = content.region[np.argsort(content.region[:, 0])]
         regions = rows[place(numbers, rows[:, 0], "region of element"), 1].astype(np.int64)
     empty = np.zeros((0, 1), dtype=np.int64)
@@ -336,42 +338,45 @@ def _cells(kind: int, nodes: Int[np.ndarray, "m w"]) -> Cells:
     return Cells(_SHAPE[kind] + ("" if kind < 8 else str(_WIDTH[kind])), nodes)
 
 
-def _with_regions(
+def _regions_of_entities(
     blocks: list[_Block], content: _Content, path: Path
-) -> tuple[list[_Block], Int[np.ndarray, " e"] | None]:
-    """Return blocks without repeated elements, and the group of each element."""
-    if not blocks:
-        return blocks, None
-    if blocks[0].groups is None:
-        entities = list(dict.fromkeys(block.entity for block in blocks))
-        of_block = np.array([entities.index(block.entity) for block in blocks])
-        rows = np.array([len(block.nodes) for block in blocks])
-        pairs = [(i, group) for i, e in enumerate(entities) for group in content.groups.get(e, ())]
-        members, sets = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-        sizes = np.bincount(of_block, rows)
-        regions = regions_of_groups(_by_group(sets, members), sizes, content.names, path)
-        return blocks, None if regions is None else np.repeat(regions[of_block], rows)
-    groups = np.concatenate([np.abs(block.groups) for block in blocks]).astype(np.int64)
-    first, same = np.arange(len(groups)), np.arange(len(groups))
-    if len(np.unique(groups)) > 1:  # an element is repeated for each of its groups
+) -> Int[np.ndarray, " e"] | None:
+    """Return the group of each element, from those of its entity."""
+    places = {e: i for i, e in enumerate(dict.fromkeys(block.entity for block in blocks))}
+    of_block = np.array([places[block.entity] for block in blocks])
+    rows = np.array([len(block.nodes) for block in blocks])
+    pairs = [(i, group) for e, i in places.items() for group in content.groups.get(e, ())]
+    entities, groups = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    sizes = np.bincount(of_block, rows)
+    regions = regions_of_groups(_by_group(groups, entities), sizes, content.names, path)
+    return None if regions is None else np.repeat(regions[of_block], rows)
+
+
+def _merge_repeated(
+    blocks: list[_Block], content: _Content, path: Path
+) -> Int[np.ndarray, " e"] | None:
+    """Remove repeated elements from blocks, and return the group of each element.
+
+    Formats 1 and 2 repeat an element for each of its groups.
+    """
+    groups = np.abs(np.concatenate([block.groups for block in blocks])).astype(np.int64)
+    first = same = np.arange(len(groups))
+    ends = np.cumsum([len(block.nodes) for block in blocks])[:-1]
+    if len(np.unique(groups)) > 1:
         corners = np.full((len(groups), 8), -1.0)
-        start = 0
-        for block in blocks:
+        for block, part in zip(blocks, np.split(corners, ends), strict=True):
             nodes = np.sort(block.nodes[:, : SOLIDS[_SHAPE[block.kind]][0]], axis=1)
-            corners[start : start + len(nodes), : nodes.shape[1]] = nodes
-            start += len(nodes)
+            part[:, : nodes.shape[1]] = nodes
         _, first, same = np.unique(corners, axis=0, return_index=True, return_inverse=True)
+        same = same.reshape(-1)
     tagged = groups != 0
-    members = _by_group(groups[tagged], same.reshape(-1)[tagged])
+    members = _by_group(groups[tagged], same[tagged])
     regions = regions_of_groups(members, np.ones(len(first)), content.names, path)
     kept = np.zeros(len(groups), dtype=bool)
     kept[first] = True
-    start = 0
-    for block in blocks:
-        rows = kept[start : start + len(block.nodes)]
-        start += len(rows)
+    for block, rows in zip(blocks, np.split(kept, ends), strict=True):
         block.numbers, block.nodes = block.numbers[rows], block.nodes[rows]
-    return blocks, None if regions is None else regions[same.reshape(-1)[kept]]
+    return None if regions is None else regions[same[kept]]
 
 
 def _by_group(
