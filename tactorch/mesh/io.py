@@ -4,6 +4,7 @@ import contextlib
 import importlib
 import io
 import logging
+import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -21,7 +22,7 @@ from tactorch.errors import ConfigError, FileError, MeshError, TactorchError
 from tactorch.files import atomic_path, require_file
 from tactorch.mesh.checks import as_cells, as_points, listing, unreferenced
 from tactorch.mesh.formats.abaqus import read_abaqus
-from tactorch.mesh.formats.cells import SOLIDS, MeshFile, as_solid, as_tets
+from tactorch.mesh.formats.cells import AS_TETS, SOLIDS, MeshFile, as_solid, as_tets
 from tactorch.mesh.formats.gmsh import read_gmsh
 from tactorch.mesh.formats.surfaces import Polygons, read_obj, read_ply, read_stl, triangulated
 from tactorch.mesh.geometry import bounding_diagonal
@@ -49,6 +50,7 @@ PLAUSIBLE_MM = (0.5, 5000.0)
 # Vertices closer than this are one, over the diagonal: the digits of many files.
 _SAME = 1e-6
 _MAX_NEAR = 50  # pairs of close vertices for each vertex
+_HEAD = 1000  # bytes in which a file of VTK names its compression
 _MESHIO_EXPANSION = 8  # bytes of memory for each of a file
 
 
@@ -236,8 +238,10 @@ def read_any(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
     name = _format(path, formats)
     size = path.stat().st_size
     check_memory(path, f"its content of {size / 1e6:.0f} MB", _MESHIO_EXPANSION * size)
-    with _meshio(f"'{path}' cannot be read as {name}", _HINT):
+    with _meshio(f"'{path}' cannot be read as {name}", _HINT) as output:
         content: meshio.Mesh = importlib.import_module(f"meshio.{name}").read(str(path))
+        if re.search(r"cannot handle \(type 11\)", output.getvalue()):
+            raise FileError(f"'{path}' has voxels. {AS_TETS}")
     if not len(content.points):
         raise FileError(f"'{path}' contains no points: it is empty, or not of the {name} format.")
     return content
@@ -245,6 +249,9 @@ def read_any(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
 
 def _read_vtu(path: Path) -> MeshFile:
     """Read a file of VTK."""
+    with path.open("rb") as file:
+        if b"vtkLZ4DataCompressor" in file.read(_HEAD):
+            raise FileError(f"'{path}' is compressed by LZ4; save it with zlib, or uncompressed.")
     content = read_any(path, _MESH_FORMATS)
     cells = [as_solid(block.type, block.data.astype(np.int64)) for block in content.cells]
     fields = {key.lower().replace("_", "").replace(" ", ""): key for key in content.cell_data}
@@ -277,7 +284,7 @@ def _write(path: str | Path, formats: Mapping[str, str], content: "meshio.Mesh")
 
 
 @contextlib.contextmanager
-def _meshio(failure: str, hint: str = "") -> Iterator[None]:
+def _meshio(failure: str, hint: str = "") -> Iterator[io.StringIO]:
     """Silence a reader or writer and turn its failures into `FileError`.
 
     Readers raise any exception on damaged files; those of meshio print, and may call sys.exit.
@@ -290,7 +297,7 @@ def _meshio(failure: str, hint: str = "") -> Iterator[None]:
             warnings.catch_warnings(),
         ):
             warnings.simplefilter("ignore")
-            yield
+            yield output
     except TactorchError:
         raise
     except (Exception, SystemExit) as error:

@@ -21,8 +21,12 @@ SOLIDS: dict[str, tuple[int, tuple[tuple[int, ...], ...]]] = {
         ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
     ),
 }
+#: What to do with elements of other shapes.
+AS_TETS = (
+    "Divide them into tetrahedra: filter Tetrahedralize in ParaView, triangulate() in PyVista."
+)
+_REFUSED = {"polyhedron": "polyhedra", "penta": "pentagonal prisms", "hexa": "hexagonal prisms"}
 _EDGES = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]  # of nodes 4 to 9 of a tetrahedron
-_VOXEL = [0, 1, 3, 2, 4, 5, 7, 6]  # corners of VTK's voxels in the order of a hexahedron
 _CURVED = 1e-3  # distance of a node from the middle of its edge that is reported, over the edge
 
 
@@ -62,8 +66,6 @@ class MeshFile:
 
 def as_solid(kind: str, nodes: Int[np.ndarray, "m w"]) -> Cells:
     """Return cells of VTK under the name of their shape."""
-    if kind == "voxel":
-        return Cells("hexahedron", nodes[:, _VOXEL])
     name = kind.lower().removeprefix("vtk_lagrange_").replace("tetrahedron", "tetra")
     return Cells(name, nodes)
 
@@ -77,6 +79,8 @@ def as_tets(file: MeshFile, source: object) -> tuple[Tets, Int[np.ndarray, " m"]
         MeshError: There is no solid element.
     """
     solids = [cells for cells in file.cells if cells.shape in SOLIDS and len(cells.nodes)]
+    if refused := [_REFUSED[c.shape] for c in file.cells if c.shape in _REFUSED]:
+        raise MeshError(f"it contains {refused[0]}. {AS_TETS}")
     if not solids:
         kinds = ", ".join(sorted({cells.kind for cells in file.cells})) or "no cells"
         raise MeshError(
@@ -94,7 +98,9 @@ def as_tets(file: MeshFile, source: object) -> tuple[Tets, Int[np.ndarray, " m"]
     return np.concatenate(parts), regions
 
 
-def split(shape: str, corners: Int[np.ndarray, "m c"]) -> tuple[Tets, Int[np.ndarray, " t"]]:
+def split(
+    shape: str, corners: Int[np.ndarray, "m c"]
+) -> tuple[Int[np.ndarray, "t 4"], Int[np.ndarray, " t"]]:
     """Divide elements into tetrahedra that fit together.
 
     Each is joined from its corner of the smallest index to the faces that do not have that corner,

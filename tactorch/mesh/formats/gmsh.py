@@ -46,7 +46,7 @@ class _Block:
     kind: int
     numbers: Float[np.ndarray, " m"]
     nodes: Float[np.ndarray, "m w"]
-    groups: Float[np.ndarray, " m"]  # of each element, in formats 1 and 2
+    groups: Float[np.ndarray, " g"]  # of each element, in formats 1 and 2
     entity: tuple[int, int] = (0, 0)  # in format 4
 
 

@@ -13,7 +13,7 @@ from tactorch.budget import read_content
 from tactorch.mesh.values import Points, Triangles
 
 #: Vertices, and faces in their order: each array has those of equally many vertices.
-Polygons = tuple[Points, list[Int[np.ndarray, "k c"]]]
+Polygons = tuple[Points, list[np.ndarray]]
 _EXPANSION = 8  # bytes of memory for each of the file
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _HEADER = 84  # bytes before the triangles of a binary STL file
@@ -180,8 +180,8 @@ def _ply_row(data: bytes, place: int, properties: list[_Property], order: str) -
     return np.dtype(fields) if complete else np.dtype(f"V{len(data) + 1}")
 
 
-def triangulated(points: Points, faces: list[Int[np.ndarray, "k c"]]) -> Triangles:
-    """Return triangles, in the order of the faces.
+def triangulated(points: Points, faces: list[np.ndarray]) -> Int[np.ndarray, "t 3"]:
+    """Return triangles, in the order of the faces, which have equally many vertices per array.
 
     Raises:
         ValueError: A polygon cannot be divided: it is not flat, or its sides cross.
