@@ -240,9 +240,7 @@ def tetrahedralize(
 
     def mesher(target_mm: float, envelope_mm: float) -> TetMesh:
         relative, coarsen = envelope_mm / diagonal, tolerance is None
-        with progress_line(f"meshing with edges of {target_mm:.3g} mm") as update:
-            found = _run_tetwild(all_points, all_faces, target_mm, relative, coarsen, update)
-        return _validated(*found)
+        return _validated(*_run_tetwild(all_points, all_faces, target_mm, relative, coarsen))
 
     if tolerance is None:
         mesh = fit_edge_length(mesher, points, faces, length, progress)
@@ -289,12 +287,7 @@ def _with_inner(
 
 
 def _run_tetwild(
-    points: Points,
-    faces: Triangles,
-    length: float,
-    epsilon: float,
-    coarsen: bool,
-    update: Callable[[str], None],
+    points: Points, faces: Triangles, length: float, epsilon: float, coarsen: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     if importlib.util.find_spec("pytetwild") is None:
         raise ConfigError("Meshing a surface needs pytetwild: pip install pytetwild.")
@@ -305,9 +298,9 @@ def _run_tetwild(
             source, {**surface, "edge_length_mm": length, "epsilon": epsilon, "coarsen": coarsen}
         )
         # -P: keeps the worker's folder off the module search path.
-        code, output = _run(
-            [sys.executable, "-P", str(_WORKER), str(source), str(target)], folder, update
-        )
+        command = [sys.executable, "-P", str(_WORKER), str(source), str(target)]
+        with progress_line(f"meshing with edges of {length:.3g} mm") as update:
+            code, output = _run(command, folder, update)
         if code or not target.is_file():
             raise MeshError(
                 f"fTetWild could not mesh the surface of {len(faces)} triangles"

@@ -269,7 +269,10 @@ def _runs(
     place = 0
     for _ in range(count):
         kind = int(values[place + 1])
-        width = (5 if version < 2.0 else 3 + max(int(values[place + 2]), 0)) + _width(kind)
+        tags = 2 if version < 2.0 else int(values[place + 2])
+        if tags < 0:
+            raise ValueError(f"an element states {tags} tags")
+        width = 3 + tags + _width(kind)
         if runs and (runs[-1][0], runs[-1][3]) == (kind, width):
             runs[-1] = (kind, runs[-1][1], runs[-1][2] + 1, width)
         else:
