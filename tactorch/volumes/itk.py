@@ -142,7 +142,7 @@ def _segments(
 ) -> tuple[np.ndarray, dict[int, str]]:
     """Return labels, and the names of the segments of 3D Slicer.
 
-    Segments of several layers, which are the last axis, are numbered anew from 1.
+    Segments of several layers, which are the last axis, are numbered from 1.
     """
     count = sum(re.fullmatch(r"Segment\d+_LabelValue", key) is not None for key in notes)
     names = [notes.get(f"Segment{i}_Name", f"segment {i}") for i in range(count)]

@@ -31,7 +31,7 @@ _PIECE = 64  # rows that are read at first, as they may differ in length
 
 
 def read_stl(path: Path) -> Polygons:
-    """Read the triangles of all solids of a file; each has vertices of its own."""
+    """Read the triangles of all solids of a file; vertices are repeated for each."""
     content = read_content(path, _EXPANSION)
     count = int.from_bytes(content[80:_HEADER], "little")
     whole = len(content) == _HEADER + _TRIANGLE.itemsize * count
