@@ -178,13 +178,9 @@ _PACKAGES: dict[str, tuple[str, str]] = {
     "dask": ("distributed", "generate executor=dask, on a cluster"),
     "nibabel": ("nibabel", "body: segmentations in NIfTI"),
     "highdicom": ("highdicom", "body: segmentations in DICOM"),
-    "simpleitk": ("SimpleITK", "body: segmentations in NRRD and MHA"),
     "rosbags": ("rosbags", "import format=ros2, sensor unpack: bags of ROS"),
 }
-_EXTRAS = {
-    "dask": "dask", "nibabel": "volumes", "highdicom": "volumes", "simpleitk": "volumes",
-    "rosbags": "ros",
-}  # fmt: skip
+_EXTRAS = {"dask": "dask", "nibabel": "volumes", "highdicom": "volumes", "rosbags": "ros"}
 _CORE = ("torch", "numpy", "scipy", "numba", "jaxtyping", "h5py", "hydra-core", "pyyaml")
 
 

@@ -108,7 +108,7 @@ def _drop(unused: Bool[np.ndarray, " n"], allowed: bool | None, source: Path) ->
             "the numbers of the new file: tactorch.write_mesh('new.vtu', tactorch.read_mesh(...))."
         )
     if allowed is None:
-        _log.warning("'%s': %s; they are left out, and the numbers of others change.", source, shown)
+        _log.warning("'%s': %s; they are left out, which renumbers the others.", source, shown)
 
 
 def write_mesh(

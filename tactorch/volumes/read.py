@@ -19,8 +19,8 @@ from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import read_arrays, require_file
-from tactorch.volumes.itk import ITK_FORMATS, read_itk
 from tactorch.volumes.medical import read_nifti, read_segmentation
+from tactorch.volumes.nrrd import SUFFIXES, read_nrrd
 from tactorch.volumes.volume import LabelVolume
 
 _log = logging.getLogger(__name__)
@@ -57,8 +57,8 @@ def read_volume(
     if kind == "nifti":
         values, affine, file_unit = read_nifti(source)
         labels = as_labels(values, source)
-    elif kind == "itk":
-        values, affine, file_unit, names = read_itk(source)
+    elif kind == "nrrd":
+        values, affine, file_unit, names = read_nrrd(source)
         labels = as_labels(values, source)
     elif kind == "dicom":
         (values, affine, names), file_unit = read_segmentation(source), "mm"
@@ -78,8 +78,8 @@ def _kind(source: Path) -> str:
         return "nifti"
     if name.endswith((".npy", ".npz")):
         return name[-3:]
-    if source.suffix.lower() in ITK_FORMATS:
-        return "itk"
+    if source.suffix.lower() in SUFFIXES:
+        return "nrrd"
     with source.open("rb") as file:
         if file.read(132)[_DICOM_MAGIC] == b"DICM":
             return "dicom"

@@ -36,6 +36,7 @@ _FIRST = (2, 3, 4, 4, 8, 6, 5, 3, 6, 9, 10, 27, 18, 14, 1, 8, 20, 15, 13, 9, 10,
 _WIDTH = dict(enumerate((*_FIRST, 4, 5, 6, 20, 35, 56), start=1)) | {92: 64, 93: 125}
 _SECTION = re.compile(rb"^\$([A-Za-z]\w*)[ \t]*\r?\n", re.MULTILINE)
 _REGION = "region"
+_MAX_TAGS = 100_000  # of an element; one for each part of a mesh that is divided
 _EXPANSION = 8  # bytes of memory for each of the file
 
 
@@ -256,7 +257,7 @@ def _read_elements_2(data: bytes, layout: str, version: float, content: _Content
     while layout and count > 0:
         kind, rows, tags = (int(x) for x in numbers.take("iii")[0])
         count -= max(rows, 1)
-        table = numbers.take("i" * (1 + max(tags, 0) + _width(kind)), rows)
+        table = numbers.take("i" * (1 + _checked(tags) + _width(kind)), rows)
         groups = table[:, 1] if tags > 0 else np.zeros(rows)
         content.blocks.append(_Block(kind, table[:, 0], table[:, 1 + tags :], groups))
 
@@ -269,9 +270,7 @@ def _runs(
     place = 0
     for _ in range(count):
         kind = int(values[place + 1])
-        tags = 2 if version < 2.0 else int(values[place + 2])
-        if tags < 0:
-            raise ValueError(f"an element states {tags} tags")
+        tags = 2 if version < 2.0 else _checked(int(values[place + 2]))
         width = 3 + tags + _width(kind)
         if runs and (runs[-1][0], runs[-1][3]) == (kind, width):
             runs[-1] = (kind, runs[-1][1], runs[-1][2] + 1, width)
@@ -289,6 +288,12 @@ def _read_elements_4(numbers: _Numbers, version: float, content: _Content) -> No
         rows = numbers.take(integer * (1 + _width(kind)), numbers.one())
         entity = (first, second) if version > 4.0 else (second, first)
         content.blocks.append(_Block(kind, rows[:, 0], rows[:, 1:], np.zeros(0), entity))
+
+
+def _checked(tags: int) -> int:
+    if not 0 <= tags <= _MAX_TAGS:
+        raise ValueError(f"an element states {tags} tags")
+    return tags
 
 
 def _width(kind: int) -> int:
