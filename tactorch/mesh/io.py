@@ -49,6 +49,7 @@ _MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 PLAUSIBLE_MM = (0.5, 5000.0)
 # Vertices closer than this are one, over the diagonal: the digits of many files.
 _SAME = 1e-6
+_MAX_DIAGONAL = 1e100  # whose square is a number
 _MAX_NEAR = 50  # pairs of close vertices for each vertex
 _HEAD = 1000  # bytes in which a file of VTK names its compression
 _MESHIO_EXPANSION = 8  # bytes of memory for each of a file
@@ -182,8 +183,10 @@ def _cloud(count: int, source: Path) -> str:
 def _first_of_same(vertices: Points, source: Path) -> Int[np.ndarray, " n"]:
     """Return for each vertex the first one at the same place."""
     _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-    distinct = vertices[first]
-    tree, radius = cKDTree(distinct), _SAME * bounding_diagonal(vertices)
+    distinct, diagonal = vertices[first], bounding_diagonal(vertices)
+    if diagonal > _MAX_DIAGONAL:
+        raise MeshError(f"its vertices are {diagonal:.3g} apart; repair the coordinates.")
+    tree, radius = cKDTree(distinct), _SAME * diagonal
     if tree.count_neighbors(tree, radius) > _MAX_NEAR * len(distinct):
         raise MeshError(
             f"many of its vertices are closer than {_SAME:g} of its size; remove far points, or "
