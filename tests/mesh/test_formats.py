@@ -380,7 +380,7 @@ def test_a_part_is_at_the_place_of_its_instance(tmp_path: Path) -> None:
         (("*ELSET, ELSET=A", "B", "*ELSET, ELSET=B", "A"), "in itself"),
         (("*ELSET, ELSET=A", "B"), "no set of elements B"),
         (("*NGEN", "1, 5"), r"\*NGEN makes or moves nodes"),
-        (("*ELEMENT, TYPE=C3D27", "1, 2"), "elements C3D27 are not known; use C3D4"),
+        (("*ELEMENT, TYPE=C3D7", "1, 2"), "elements C3D7 are not known; use C3D4"),
         (("*ELEMENT, TYPE=C3D4", "99, 1, 2, 3, 99"), "there is no node 99"),
         (("*ELEMENT, TYPE=C3D4", "99, 1, 2, 3"), "do not have 4 nodes"),
         (("*INCLUDE, INPUT=/dev/zero",), "'/dev/zero', which is not in the folder of the mesh"),

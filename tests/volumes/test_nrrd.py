@@ -79,12 +79,14 @@ def meta(path: Path, values: np.ndarray, affine: np.ndarray, data: str = "LOCAL"
 
 
 @pytest.mark.parametrize(
-    "name", ["v.nrrd", "v.seg.nrrd", "v.nhdr", "r.nrrd", "ras.nrrd", "v.mha", "v.mhd"]
+    "name", ["v.nrrd", "v.seg.nrrd", "v.nhdr", "r.nrrd", "ras.nrrd", "las.nrrd", "v.mha", "v.mhd"]
 )
 def test_the_place_is_that_of_nifti(tmp_path: Path, name: str) -> None:
     path, lps = tmp_path / name, LPS @ oblique()
     if name.startswith("ras"):
         nrrd(path, labels(), oblique(), space="right-anterior-superior")
+    elif name.startswith("las"):
+        nrrd(path, labels(), np.diag([-1.0, 1.0, 1.0, 1.0]) @ oblique(), space="LAS")
     elif "nrrd" in name:
         nrrd(path, labels(), lps, packed=name[0] == "v")
     elif name.endswith(".nhdr"):

@@ -20,7 +20,7 @@ _DEPTH = 10  # of files that include one another
 _INPUT = re.compile(r"\*\s*(INCLUDE|NODE|ELEMENT|ELSET)\b.*?,\s*INPUT\s*=\s*([^,]+)", re.IGNORECASE)
 _TYPE = re.compile(r"(?:[A-Z]*C3D|F3D|SC|CSS)(\d+)[A-Z]*$")
 _SHAPE = {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron", 10: "tetra", 13: "pyramid"}
-_SHAPE |= {15: "wedge", 20: "hexahedron"}
+_SHAPE |= {15: "wedge", 20: "hexahedron", 27: "hexahedron"}
 _MADE = ("NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM")
 
 
