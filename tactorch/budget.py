@@ -2,31 +2,40 @@
 
 A file may state sizes that it does not hold, expand to far more than its size, or be nested deeper
 than a parser can follow. Readers compare what a file states with these limits before they allocate
-memory or loop over it. The memory for one file is 1 GiB, or half of the free memory where that is
+memory or loop over it. The memory for one file is 1.5 GiB, or half of the free memory where that is
 less; the environment variable `TACTORCH_FILE_GIB` sets another number of GiB.
 """
 
+import gzip
+import io
 import math
 import os
-from collections.abc import Mapping
+import zlib
+from collections.abc import Mapping, Sequence
+from itertools import accumulate
 from pathlib import Path
-from typing import Any
-from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
+from typing import Any, BinaryIO
+from zipfile import ZIP_DEFLATED, ZIP_LZMA, ZIP_STORED, ZipFile, ZipInfo
 
 from tactorch.errors import ConfigError, FileError, TactorchError
 
 _VARIABLE = "TACTORCH_FILE_GIB"
 _GIB = 1 << 30
-_MAX_BYTES = _GIB
+_MAX_BYTES = 3 * _GIB // 2
 #: Largest expansion by deflate: gzip, zlib, .npz, and compressed HDF5.
 DEFLATE = 1032
 #: Bytes of Python objects for each byte of JSON, or of a table of text.
 TEXT = 30
 #: Nested tables and lists in YAML and JSON.
 MAX_DEPTH = 32
+#: Bytes of a YAML file; settings that people write are far smaller.
+MAX_YAML = 1_000_000
 #: Pixels of a picture, and of a frame of a video.
 MAX_PIXELS = 100_000_000
-_PIECE = 1 << 12  # of compressed data; bzip2 and LZMA expand it to 100 MB at most
+_MAX_EXPANDED = 10**7  # characters of settings that refer to others
+_MAX_WORD = 20_000  # characters of a setting as typed, which take a second
+_PIECE = 1 << 12  # of compressed data; LZMA expands it to 30 MB at most, bzip2 to GB
+_PACKERS = (ZIP_STORED, ZIP_DEFLATED, ZIP_LZMA)
 
 
 def max_bytes() -> int:
@@ -132,25 +141,54 @@ def read_content(path: Path, expansion: float = 1.0) -> bytes:
         return file.read(size)
 
 
+def gunzip(path: Path, rest: float = 0.0) -> io.BytesIO:
+    """Return the content of a file that is compressed by gzip, as far as it may be in memory.
+
+    Args:
+        path: The file.
+        rest: Bytes of memory that the values of the content take besides it.
+
+    Raises:
+        FileError: The content is too large.
+        OSError, EOFError, zlib.error: It cannot be read.
+    """
+    memory = io.BytesIO()
+    with gzip.open(path, "rb") as file:
+        while piece := file.read(1 << 20):
+            size = memory.tell() + len(piece)
+            check_memory(path, f"its unpacked content of {_size(size)} or more", size + rest)
+            memory.write(piece)
+    memory.seek(0)
+    return memory
+
+
+def check_deflated(path: Path, file: BinaryIO) -> None:
+    """Refuse a raw stream of deflate in an open file that unpacks to too much; see `gunzip`."""
+    unpacked, size = zlib.decompressobj(-zlib.MAX_WBITS), 0
+    while (piece := unpacked.unconsumed_tail or file.read(_PIECE)) and not unpacked.eof:
+        size += len(unpacked.decompress(piece, 1 << 20))
+        check_memory(path, f"its unpacked content of {_size(size)} or more", 2 * size)
+
+
 def check_archive(path: object, archive: ZipFile, copies: float = 1.0) -> None:
-    """Refuse an archive whose unpacked members, in `copies`, need too much memory."""
+    """Refuse an archive whose unpacked members, in `copies`, need too much memory, or bzip2."""
+    if any(entry.compress_type not in _PACKERS for entry in archive.infolist()):
+        raise FileError(f"{_name(path)} is compressed by bzip2, which is not read; pack it anew.")
     total = sum(entry.file_size for entry in archive.infolist())
     check_memory(path, f"its unpacked content of {_size(total)}", copies * total)
 
 
-def unpack(archive: ZipFile, entry: ZipInfo) -> bytes:
+def unpack(archive: ZipFile, entry: ZipInfo) -> bytearray:
     """Return a member of an archive, after `check_archive`; its checksum is verified.
 
-    `ZipFile.read` expands all of a member that is compressed by bzip2 or LZMA, whatever its size is
-    said to be.
+    `ZipFile.read` expands all of a member that is compressed by LZMA, whatever its size is said to
+    be.
     """
-    if entry.compress_type in (ZIP_STORED, ZIP_DEFLATED):
-        return archive.read(entry)
     content = bytearray()
     with archive.open(entry) as member:
-        while piece := member.read(_PIECE):
+        while piece := member.read(_PIECE if entry.compress_type == ZIP_LZMA else 1 << 20):
             content += piece
-    return bytes(content)
+    return content
 
 
 def check_depth(source: object, value: Any, error: type[TactorchError] = FileError) -> None:
@@ -162,6 +200,31 @@ def check_depth(source: object, value: Any, error: type[TactorchError] = FileErr
         if not level:
             return
     raise too_deep(source, error)
+
+
+def check_references(source: object, settings: Sequence[str]) -> None:
+    """Refuse settings whose references, ${NAME}, to each other may expand to too much text."""
+    factor = math.prod(max(1, setting.count("${")) for setting in settings)
+    if factor * sum(map(len, settings)) > _MAX_EXPANDED:
+        raise FileError(
+            f"{_name(source)} has settings that refer to others (${{NAME}}) many times, which may "
+            f"expand to more than {_MAX_EXPANDED:.0e} characters; write the values in their place."
+        )
+
+
+def check_words(words: Sequence[str]) -> None:
+    """Refuse settings as typed that Hydra cannot parse in reasonable time, or at all.
+
+    Raises:
+        ConfigError: One is too long, or has brackets within too many others.
+    """
+    for word in words:
+        depths = accumulate((c in "[{(") - (c in "]})") for c in word)
+        if len(word) > _MAX_WORD or max(depths, default=0) > MAX_DEPTH:
+            raise ConfigError(
+                f"the setting '{word[:40]}...' has more than {_MAX_WORD} characters, or more than "
+                f"{MAX_DEPTH} brackets within each other; give a shorter value."
+            )
 
 
 def too_deep(source: object, error: type[TactorchError] = FileError) -> TactorchError:

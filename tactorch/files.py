@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from zipfile import ZipFile
 
-from tactorch.errors import FileError
+from tactorch import budget
+from tactorch.errors import FileError, TactorchError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -124,39 +125,58 @@ def write_arrays(path: str | Path, arrays: Mapping[str, Any], *, compressed: boo
 
 
 def read_arrays(
-    path: str | Path, what: str, remedy: str, max_bytes: float = float("inf")
+    path: str | Path, what: str, remedy: str, copies: float = 1.0
 ) -> "dict[str, np.ndarray]":
     """Read all arrays of an .npz file by name; their checksums are verified.
 
-    Messages name the expected content `what`, and the `remedy` for a file that cannot be read or
-    whose unpacked arrays exceed `max_bytes`.
+    Messages name the expected content `what`, and the `remedy` for a file that cannot be read.
+    Arrays are refused that, in `copies` of the caller, need too much memory.
     """
-    import numpy as np
-
     source = require_file(path, what)
     arrays = {}
     try:
         with ZipFile(source) as archive:
-            size = sum(part.file_size for part in archive.infolist())
-            if size > max_bytes:
-                raise ValueError(f"its arrays have {size} bytes, more than {max_bytes}")
-            for name in archive.namelist():
+            budget.check_archive(f"{what} '{source}'", archive, copies)
+            for entry in archive.infolist():
                 # NumPy stops reading where the array ends, before the checksum is compared.
-                content = io.BytesIO(archive.read(name))
-                array = np.lib.format.read_array(content, allow_pickle=False)
-                arrays[name.removesuffix(".npy")] = array
+                content = budget.unpack(archive, entry)
+                arrays[entry.filename.removesuffix(".npy")] = as_array(content)
         arrays.pop("allow_pickle", None)  # written by NumPy before 2.2
+    except TactorchError:
+        raise
     except Exception as error:  # what a damaged archive raises has no common base
         raise FileError(f"{what} '{source}' cannot be read ({error}); {remedy}") from error
     return arrays
+
+
+def as_array(content: bytes | bytearray) -> "np.ndarray":
+    """Return the array in the content of an .npy file, without a copy of its values.
+
+    Raises:
+        ValueError: The content is no array, or its header states more than it holds.
+    """
+    import numpy as np
+
+    memory = io.BytesIO(content)
+    major, _ = np.lib.format.read_magic(memory)
+    read_header = (
+        np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
+    )
+    shape, is_fortran, kind = read_header(memory)
+    if kind.hasobject:
+        raise ValueError("it holds Python objects")
+    if math.prod(shape) * kind.itemsize != len(content) - memory.tell():
+        raise ValueError(f"its header states the shape {shape}, which is not what it holds")
+    array = np.frombuffer(content, kind, math.prod(shape), memory.tell())
+    return array.reshape(shape, order="F" if is_fortran else "C")
 
 
 def read_json(path: str | Path, what: str, remedy: str, *keys: str) -> dict[str, Any]:
     """Read a file that holds a JSON object with at least `keys`; see `read_arrays`."""
     source = require_file(path, what)
     try:
-        content = json.loads(source.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        content = parse_json(budget.read_content(source, budget.TEXT), f"{what} '{source}'")
+    except (OSError, ValueError) as error:
         raise FileError(f"{what} '{source}' cannot be read ({error}); {remedy}") from error
     if not isinstance(content, dict):
         raise FileError(f"{what} '{source}' is not a JSON object; {remedy}")
@@ -164,6 +184,55 @@ def read_json(path: str | Path, what: str, remedy: str, *keys: str) -> dict[str,
     if missing:
         raise FileError(f"{what} '{source}' lacks '{missing[0]}'; {remedy}")
     return content
+
+
+def parse_json(text: str | bytes, source: str, error: type[TactorchError] = FileError) -> Any:
+    """Return the value in JSON text of bounded depth; `source` is its name in messages.
+
+    Raises:
+        TactorchError: It is nested too deep, of class `error`.
+        ValueError: It is not JSON.
+    """
+    try:
+        value = json.loads(text)
+    except RecursionError as cause:
+        raise budget.too_deep(source, error) from cause
+    budget.check_depth(source, value, error)
+    return value
+
+
+def read_yaml(path: Path, what: str, error: type[TactorchError] = FileError) -> Any:
+    """Read a small YAML file without aliases or deep nesting, which parsers cannot follow.
+
+    Args:
+        path: The file.
+        what: Name of the file in messages.
+        error: Class of errors.
+
+    Raises:
+        TactorchError: The file is too large, has an alias, is nested too deep, or is not YAML.
+        OSError: It cannot be read.
+    """
+    import yaml
+
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    if (size := path.stat().st_size) > budget.MAX_YAML:
+        raise error(f"{what} has {size} bytes; give one of up to {budget.MAX_YAML}.")
+    try:
+        text, depth = path.read_bytes(), 0
+        for event in yaml.parse(text, Loader=loader):
+            if isinstance(event, yaml.AliasEvent):
+                raise error(
+                    f"{what} uses the alias '*{event.anchor}'; write the value in its place."
+                )
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            if depth > budget.MAX_DEPTH:
+                raise budget.too_deep(what, error)
+        return yaml.load(text, loader)
+    except (yaml.YAMLError, ValueError) as cause:  # also dates and numbers that do not exist
+        reason = " ".join(str(cause).split())
+        raise error(f"{what} is not valid YAML: {reason}; repair it.") from cause
 
 
 def _neighbours(path: Path) -> str:

@@ -15,18 +15,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tactorch import budget
 from tactorch.errors import FileError, TactorchError
-from tactorch.files import require_file, write_file
+from tactorch.files import parse_json, require_file, write_file
 
 if TYPE_CHECKING:
     import h5py
 
 # From HDF5 1.10 on, the structure of the file has checksums, so that damage is noticed.
 LIBVER = ("v110", "v110")
-# Largest ratio of deflate; what claims more holds values that were never written.
-_MAX_COMPRESSION = 1100
-_MAX_UNSTORED_BYTES = 1 << 24
-MAX_DATASET_BYTES = 1 << 33
+_MAX_UNSTORED_BYTES = 1 << 24  # of values that were never written
 # Accepted kinds of a dataset, type named in messages, and type of the array returned.
 _KINDS: dict[str, tuple[str, str, type]] = {
     "f": ("f", "float64", np.float64),
@@ -119,7 +117,8 @@ class Hdf5Reader:
     """Reads checked values from an open file or group.
 
     Errors, of class `error`, name the file `source`, its expected content `what`, the function
-    `writer` that writes such files, and the dataset.
+    `writer` that writes such files, and the dataset. The memory for all datasets that are read is
+    limited.
     """
 
     def __init__(
@@ -132,6 +131,7 @@ class Hdf5Reader:
     ) -> None:
         self.root, self.source = root, source
         self._what, self._writer, self._error_class = what, writer, error
+        self._read_bytes = 0
 
     def check_format(self, name: str, version: int, remedy: str) -> int:
         """Return the version of the file; refuse another format, and versions that are later."""
@@ -185,15 +185,15 @@ class Hdf5Reader:
                 f"dataset '{name}' has shape {dataset.shape}; ({text}) is needed. Is it of another"
                 " mesh?"
             )
-        array = self._values(name, dataset)
+        array = self._values(name, dataset, returned)
         if kind == "b" and (array > 1).any():
             raise self.error(f"dataset '{name}' is a mask but holds values other than 0 and 1")
-        return np.asarray(array.astype(returned))
+        return np.asarray(array.astype(returned, copy=False))
 
     def json(self, name: str, kind: type = dict) -> Any:
         """Read a dataset of JSON text, and compare it with its checksum where it has one."""
         dataset = self._dataset(name)
-        value = self._values(name, dataset)
+        value = self._values(name, dataset, bytes)
         if not isinstance(value, bytes):
             raise self.error(
                 f"dataset '{name}' is not text; write the {self._what} again with {self._writer}"
@@ -208,8 +208,8 @@ class Hdf5Reader:
     def parse_json(self, name: str, text: str, kind: type = dict) -> Any:
         """Return the value, of type `kind` (dict or list), of the JSON text called `name`."""
         try:
-            value = json.loads(text)
-        except (ValueError, RecursionError) as error:
+            value = parse_json(text, f"'{name}' of {self._what} '{self.source}'", self._error_class)
+        except ValueError as error:
             raise self.error(
                 f"'{name}' is not JSON: {error}; write the {self._what} again"
             ) from error
@@ -277,19 +277,32 @@ class Hdf5Reader:
                 f"dataset '{name}' is {kind}, so its values come from other files, which are not "
                 "read; copy them into the file"
             )
-        # A shape whose values the file does not hold would exhaust the memory.
-        item = dataset.dtype.itemsize
-        declared = item * max(math.prod(dataset.shape or ()), math.prod(dataset.chunks or ()))
+        return dataset
+
+    def _check_size(self, name: str, dataset: "h5py.Dataset", returned: type) -> None:
+        """Refuse a shape that the file does not hold, or that does not fit into the memory."""
+        count, item = math.prod(dataset.shape or ()), dataset.dtype.itemsize
+        declared = item * max(count, math.prod(dataset.chunks or ()))
         stored = dataset.id.get_storage_size()
-        limit = min(MAX_DATASET_BYTES, _MAX_UNSTORED_BYTES + _MAX_COMPRESSION * stored)
-        if declared > limit:
+        if declared > _MAX_UNSTORED_BYTES + budget.DEFLATE * stored:
             raise self.error(
                 f"dataset '{name}' has shape {dataset.shape}, {declared:.3g} bytes, of which the "
                 f"file holds {stored}: the shape is wrong, or the values were never written"
             )
-        return dataset
+        if returned is bytes:
+            needed = declared * budget.TEXT
+        else:
+            kept = np.dtype(returned)
+            needed = declared + (0 if kept == dataset.dtype else count * kept.itemsize)
+        self._read_bytes += needed
+        claim = f"dataset '{name}' of shape {dataset.shape} and {dataset.dtype}"
+        others = self._read_bytes - needed
+        claim += f" with others of {others:.3g} bytes" if others else ""
+        source = f"{self._what} '{self.source}'"
+        budget.check_memory(source, claim, self._read_bytes, self._error_class)
 
-    def _values(self, name: str, dataset: "h5py.Dataset") -> Any:
+    def _values(self, name: str, dataset: "h5py.Dataset", returned: type) -> Any:
+        self._check_size(name, dataset, returned)
         try:
             return dataset[()]
         except (OSError, MemoryError) as error:

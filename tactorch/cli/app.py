@@ -51,6 +51,7 @@ class App:
             if any(key_of(word) == "resume" for word in settings):
                 raise ConfigError("resume takes plain settings; leave out --trust-config-dir.")
             hydra_flags["config_dir"] = flags.config_dir
+            self._schema.check(self._schema.choices(settings))
         else:
             if flags.config_dir:
                 self._schema.add_folder(Path(flags.config_dir))

@@ -17,10 +17,11 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tactorch.cli import COMMANDS
+from tactorch.cli import COMMANDS, plug_ins
 from tactorch.cli.console import Table, is_rich, show
 from tactorch.cli.presets import conf_folder
 from tactorch.cli.schema import load_schema
+from tactorch.config.registry import package
 from tactorch.errors import ConfigError, ConvergenceError, TactorchError
 from tactorch.files import cache_folder
 
@@ -30,7 +31,8 @@ tactorch doctor: what works on this machine, what is missing, and the commands t
   tactorch doctor
   tactorch doctor json=true  # the same for programs
 
-Packages are imported, solvers solve, the mesher meshes, a video is written and read back. The exit
+Packages are imported, solvers solve, the mesher meshes, a video is written and read back, and
+components of other packages (plug-ins) are imported in another process. The exit
 status is 0 where the core works (simulate, invert, evaluate), and 1 where it does not."""
 
 _MARKS = {True: "yes", False: "NO", None: "-"}
@@ -113,7 +115,7 @@ def check_all() -> list[Finding]:
         # Output of packages would spoil the JSON.
         with warnings.catch_warnings(), redirect_stdout(sys.stderr):
             warnings.simplefilter("ignore")
-            return [check.run() for check in CHECKS]
+            return [*(check.run() for check in CHECKS), *_plug_ins()]
     finally:
         logging.disable(disabled)
 
@@ -347,6 +349,18 @@ def _conf() -> str:
     for command in COMMANDS:
         load_schema(command)
     return f"{conf_folder()}"
+
+
+def _plug_ins() -> list[Finding]:
+    """Return the findings of components of other packages."""
+    installed = plug_ins.installed()
+    findings = []
+    for key, error in plug_ins.check(installed).items():
+        entries = installed[key]
+        names = ", ".join(dict.fromkeys(entry.name for entry in entries))
+        remedy = f"pip uninstall {package(entries[0])}, or repair it" if error else ""
+        findings.append(Finding("plug-ins", key, not error, error or names, names, remedy))
+    return findings
 
 
 def _numba_cache() -> str:

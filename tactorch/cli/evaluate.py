@@ -6,7 +6,6 @@
 The scores are printed and written to scores.json in the folder of the reconstruction, or to `out`.
 """
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,9 +14,11 @@ from tactorch.cli.outputs import score_table
 from tactorch.cli.settings import CommandOptions, UnitCheck
 from tactorch.config import option
 from tactorch.errors import FileError, RecordingError
-from tactorch.files import write_json
+from tactorch.files import read_json, write_json
 from tactorch.inverse import Reconstruction
 from tactorch.recording import Recording
+
+_REMEDY = "give recording=FILE.h5."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +59,6 @@ def _recording_path(path: Path) -> Path:
     """Return the recording that a run's summary names."""
     summary = path.parent / "summary.json"
     try:
-        return Path(json.loads(summary.read_text())["recording"])
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise FileError(
-            f"'{summary}' does not name a recording ({error}); give recording=FILE.h5."
-        ) from error
+        return Path(read_json(summary, "summary", _REMEDY, "recording")["recording"])
+    except TypeError as error:
+        raise FileError(f"'{summary}' does not name a recording ({error}); {_REMEDY}") from error

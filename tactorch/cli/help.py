@@ -22,6 +22,8 @@ def help_text(command: str, words: Sequence[str] = ()) -> str:
     schema = load_schema(command)
     choices = schema.choices(words)
     known = {g: o for g, o in choices.items() if o is None or o in schema.options(g)}
+    for group, option in known.items():  # imported where it is of another package
+        schema.component(group, option)
     parts = [schema.header, "Settings (KEY=VALUE) and their defaults:"]
     parts.append("\n".join(_settings(schema.settings, "  ")))
     groups = [line for g, o in known.items() for line in _group(schema.options(g), g, o)]

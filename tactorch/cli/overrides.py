@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tactorch.budget import check_words
 from tactorch.cli.presets import EXPERIMENT, Entry
 from tactorch.cli.schema import Schema
 from tactorch.config.registry import (
@@ -58,6 +59,7 @@ def check_overrides(
     schema: Schema, words: Sequence[str], *, multirun: bool = False, trusted: bool = True
 ) -> list[str]:
     """Return settings as Hydra takes them; Hydra's own settings only if they are trusted."""
+    check_words(words)
     overrides = [_parse(word, schema) for word in words]
     groups = [o for o in overrides if o.key_or_group in schema.defaults]
     chosen = [(o.key_or_group, option) for o in groups for option in _values(o)]
@@ -68,6 +70,7 @@ def check_overrides(
     # The settings of all options that are chosen; a sweep chooses several.
     picked = {group: str(option) for group, option in chosen}
     choices = schema.resolve(picked)
+    schema.check(choices)
     entries = schema.entries(choices)
     for group, option in chosen:
         entries |= schema.entries(schema.resolve({**picked, group: str(option)}))

@@ -6,11 +6,13 @@ settings: nothing in them reaches Hydra's own settings, by which a file could ru
 
 import importlib.util
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
+from tactorch import files
+from tactorch.budget import check_references
 from tactorch.config.targets import TARGET
 from tactorch.config.values import leaves
 from tactorch.errors import ConfigError, FileError
@@ -37,17 +39,21 @@ def conf_folder() -> Path:
     raise FileError(f"the presets ({PACKAGE}) are not installed; reinstall tactorch.")
 
 
-def add_presets(folder: Path, group: dict[str, Any]) -> None:
+def add_presets(
+    folder: Path, group: dict[str, Any], component: Callable[[str], Entry] | None = None
+) -> None:
     """Add the presets in a folder to the options of a group.
+
+    `component` describes an option of the group, which may have to be imported for it.
 
     A preset names a component (`name`), or inherits from another option, or changes the settings of
     a group that has one class; what it leaves out has the typed defaults.
     """
     for path in sorted(folder.glob("*.yaml")):
-        _add_preset(path, group)
+        _add_preset(path, group, component or group["options"].__getitem__)
 
 
-def _add_preset(path: Path, group: dict[str, Any]) -> None:
+def _add_preset(path: Path, group: dict[str, Any], describe: Callable[[str], Entry]) -> None:
     values, options = read_yaml(path), group["options"]
     values.pop(TARGET, None)  # an option already, of the name of the file
     inherited, overrides = _read_defaults(values.pop("defaults", ()), path)
@@ -55,12 +61,14 @@ def _add_preset(path: Path, group: dict[str, Any]) -> None:
     if group["settings"] is None and not inherited:
         component = str(values.pop("name", path.stem))
     if inherited and inherited not in options:
-        _add_preset(path.with_name(f"{inherited}.yaml"), group)
+        _add_preset(path.with_name(f"{inherited}.yaml"), group, describe)
     if component and component not in options:
         raise ConfigError(
             f"'{path}': name={component} is unknown; choose one of {', '.join(options)}."
         )
-    base = options[component] if component else {"component": "", "help": ""}
+    base = describe(component) if component else {"component": "", "help": ""}
+    if "error" in base:
+        raise ConfigError(f"'{path}': {base['error']}")
     settings = base.get("settings", group["settings"])
     names = {entry["name"] for entry in settings}
     changed = dict(leaves(values, names))
@@ -116,6 +124,7 @@ def _leading_comment(path: Path) -> str:
 
 def check_plain(folder: Path) -> None:
     """Refuse settings of Hydra and names of functions in the files of a folder."""
+    settings: list[str] = []
     for path in sorted(folder.rglob("*.yaml")):
         is_hydra = path.relative_to(folder).parts[0] == "hydra"
         is_hydra = is_hydra or b"@package hydra" in path.read_bytes()
@@ -129,6 +138,8 @@ def check_plain(folder: Path) -> None:
                 "or read the environment; remove it, or add --trust-config-dir if you trust "
                 "everything in that folder."
             )
+        settings += [f"{name}={value}" for name, value in leaves(values)]
+    check_references(folder, settings)
 
 
 def _programs(value: Any, is_name: bool = False) -> Iterator[str]:
@@ -146,13 +157,7 @@ def _programs(value: Any, is_name: bool = False) -> Iterator[str]:
 
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the table in a YAML file."""
-    import yaml
-
-    try:
-        content = yaml.load(path.read_bytes(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"'{path}' cannot be read ({reason}); repair it.") from error
+    content = files.read_yaml(path, f"'{path}'", ConfigError)
     if not isinstance(content, dict | None):
         raise ConfigError(f"'{path}' does not hold a table of settings; write KEY: VALUE lines.")
     return {str(key): value for key, value in (content or {}).items()}

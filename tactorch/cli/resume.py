@@ -10,13 +10,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from tactorch.budget import check_references
 from tactorch.cli.compose import build_options
 from tactorch.cli.overrides import check_overrides, key_of
 from tactorch.cli.presets import PROGRAM
 from tactorch.cli.schema import Schema, app_name
 from tactorch.config.values import leaves
-from tactorch.errors import ConfigError, FileError
-from tactorch.files import require_file, require_folder
+from tactorch.errors import ConfigError, FileError, TactorchError
+from tactorch.files import read_yaml, require_file, require_folder
 
 CHECKPOINT = "checkpoint.npz"
 # Files that show that a run of a command got as far as having a state.
@@ -51,6 +52,7 @@ def with_resume(schema: Schema, words: list[str], *, multirun: bool = False) -> 
         for word in repeated:
             if PROGRAM.search(word):
                 raise ConfigError(f"'{word}' is no plain value.")
+        check_references(path, repeated)
         # The given settings may choose other options.
         checked = check_overrides(schema, [*repeated, *words], trusted=False)[: len(repeated)]
     except ConfigError as error:
@@ -91,7 +93,9 @@ def saved_options(command: str, run: Path) -> Any:
     content = _load(path)
     if not isinstance(content, dict):
         raise FileError(f"'{path}' does not hold a run's settings; start the run again.")
-    for setting in (f"{name}={value}" for name, value in leaves(content)):
+    settings = [f"{name}={value}" for name, value in leaves(content)]
+    check_references(path, settings)
+    for setting in settings:
         if PROGRAM.search(setting):
             raise FileError(
                 f"'{path}': {setting} is no plain value; write the value itself, or start the run "
@@ -105,7 +109,10 @@ def _load(path: Path) -> Any:
 
     require_file(path, "settings of the run")
     try:
+        read_yaml(path, f"'{path}'")  # bounded, as OmegaConf is not
         return OmegaConf.to_container(OmegaConf.load(path))
+    except TactorchError:
+        raise
     except Exception as error:  # whatever a damaged YAML file leads to
         reason = " ".join(str(error).split())
         raise FileError(f"'{path}' cannot be read ({reason}); start the run again.") from error

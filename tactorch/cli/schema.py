@@ -2,7 +2,8 @@
 
 They are read from the command's options class, from the components that its groups can choose, and
 from the presets and experiments in `conf/`. The result is stored in the cache folder: importing all
-components takes seconds, and help and completion must not.
+components takes seconds, and help and completion must not. Components of other packages are not in
+it: each is imported where it is chosen.
 """
 
 import inspect
@@ -12,6 +13,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 from importlib import import_module
 from keyword import iskeyword
@@ -46,6 +48,10 @@ def options_class(command: str) -> type[Options]:
     return options
 
 
+#: Key of an option of another package that is not imported yet.
+_PACKAGE = "package"
+
+
 @dataclass
 class Schema:
     """Settings and groups of one command."""
@@ -67,8 +73,22 @@ class Schema:
 
     def option_settings(self, group: str, option: str | None) -> list[Entry]:
         """Return the settings of an option; none of an experiment or an unknown option."""
+        return list(self.component(group, option)["settings"])
+
+    def component(self, group: str, option: str | None) -> dict[str, Any]:
+        """Return what is known of an option; that of another package is imported for it."""
         options = self.groups[group]["options"] if group in self.groups else {}
-        return list(options[option]["settings"]) if option in options else []
+        described = options.get(option, {"settings": []})
+        if described.pop(_PACKAGE, None):
+            options_class(self.command)  # imports the registries
+            described |= describe_plugin(REGISTRIES[group], described["component"])
+        return described
+
+    def check(self, choices: Mapping[str, str | None]) -> None:
+        """Refuse the choice of a component of another package that cannot be loaded."""
+        for group, option in choices.items():
+            if error := self.component(group, option).get("error"):
+                raise ConfigError(error)
 
     def choices(self, words: Sequence[str]) -> dict[str, str | None]:
         """Return the option of each group once the words (GROUP=OPTION among them) are applied."""
@@ -106,7 +126,7 @@ class Schema:
                 if path.parent.name in self.groups:
                     self.groups[path.parent.name]["options"][path.stem] = described
         for name, group in self.groups.items():
-            presets.add_presets(folder / name, group)
+            presets.add_presets(folder / name, group, partial(self.component, name))
         self.experiments |= presets.read_experiments(folder, self.settings, self.groups)
 
 
@@ -115,14 +135,13 @@ def load_schema(command: str) -> Schema:
     path = cache_folder() / "schema" / f"{app_name(command)}-{_code_key()}.json"
     with suppress(OSError, ValueError, KeyError):
         content = json.loads(path.read_text(encoding="utf-8"))
-        if all(_file_key(f) == key for f, key in content.pop("extensions").items()):
-            return Schema(**content)
+        return Schema(**content)
     content = describe_command(command)
     with suppress(FileError, OSError):
         for outdated in path.parent.glob(f"{app_name(command)}-*.json"):
             if len(outdated.name) == len(path.name):
                 outdated.unlink(missing_ok=True)
-        write_file(path, json.dumps({**content, "extensions": _extension_keys()}))
+        write_file(path, json.dumps(content))
     return Schema(**content)
 
 
@@ -138,14 +157,9 @@ def _code_key() -> str:
         with suppress(OSError):
             names = sorted(n for n in os.listdir(place or ".") if n.endswith(".dist-info"))
             keys += [_file_key(os.path.join(place, name)) for name in names]
+            tables = [os.path.join(place, name, "entry_points.txt") for name in names]
+            keys += [_file_key(table) for table in tables if os.path.isfile(table)]
     return sha256("".join(keys).encode()).hexdigest()[:16]
-
-
-def _extension_keys() -> dict[str, str]:
-    """Return the key of each file that declares a component of another package."""
-    modules = {path.partition(":")[0] for r in REGISTRIES.values() for path in r.extensions()}
-    loaded = (getattr(sys.modules.get(module), "__file__", None) for module in modules)
-    return {file: _file_key(file) for file in loaded if file}
 
 
 def _file_key(path: str) -> str:
@@ -154,7 +168,10 @@ def _file_key(path: str) -> str:
 
 
 def describe_command(command: str) -> dict[str, Any]:
-    """Return the fields of a command's schema as plain values; imports all its components."""
+    """Return the fields of a command's schema as plain values.
+
+    All its components are imported, except those of other packages.
+    """
     options = options_class(command)
     settings: list[Entry] = []
     groups: dict[str, Any] = {}
@@ -188,7 +205,14 @@ def _describe_group(setting: Setting) -> dict[str, Any]:
     registry = setting.registry
     group: dict[str, Any] = {"help": setting.help, "settings": None, "options": {}}
     if registry is not None:
-        group["options"] = {name: _describe_component(registry, name) for name in registry}
+        plugins = registry.plugins()
+        options = {n: _describe_component(registry, n) for n in registry if n not in plugins}
+        options |= {
+            n: {"component": n, "overrides": {}, "help": f"Of the package {p}", "settings": []}
+            | {_PACKAGE: True}
+            for n, p in plugins.items()
+        }
+        group["options"] = options
     elif setting.nested is not None:
         group["settings"] = describe_settings(setting.nested)
     group["default"] = setting.preset or _default(setting)
@@ -212,13 +236,23 @@ def _describe_target(command: str, path: Path, target: Any) -> dict[str, Any]:
 
 
 def _describe_component(registry: Registry, name: str) -> dict[str, Any]:
-    try:
-        component = registry[name]
-        text = (inspect.getdoc(component) or "").partition("\n\n")[0].replace("\n", " ").strip()
-        settings = describe_settings(component)
-    except ConfigError as error:  # of another package; choosing it says the same
-        text, settings = str(error), []
+    component = registry[name]
+    text = (inspect.getdoc(component) or "").partition("\n\n")[0].replace("\n", " ").strip()
+    settings = describe_settings(component)
     return {"component": name, "overrides": {}, "help": text, "settings": settings}
+
+
+def describe_plugin(registry: Registry, name: str) -> dict[str, Any]:
+    """Describe a component of another package, or why it cannot be used."""
+    try:
+        return _describe_component(registry, name)
+    except ConfigError as error:
+        return {"help": str(error), "error": str(error)}
+    except Exception as error:  # of its settings, whatever they are
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        text = f"{registry.section} '{name}' of {registry.plugins()[name]} has settings that"
+        text += f" cannot be read ({reason}); repair or uninstall that package."
+        return {"help": text, "error": text}
 
 
 def describe_settings(options: type, prefix: str = "") -> list[Entry]:
@@ -233,7 +267,8 @@ def _describe(setting: Setting, prefix: str = "") -> list[Entry]:
     types, default = leaf_types(setting.annotation), _default(setting)
     names = setting.choices if registry is None else registry.names()
     # A component with settings is a table: its name alone is no value.
-    is_component = registry is not None and any(settings_of(registry[name]) for name in names)
+    builtin = () if registry is None else registry.builtin()
+    is_component = registry is not None and any(settings_of(registry[n]) for n in builtin)
     entry = {
         "name": f"{prefix}{setting.name}",
         "default": {"name": default} if is_component else default,

@@ -1,8 +1,10 @@
 """Named components of a kind, built in or from installed packages."""
 
 import difflib
+import inspect
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import redirect_stdout
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
@@ -16,7 +18,7 @@ REGISTRIES: dict[str, "Registry"] = {}
 
 
 class Registry:
-    """Components of one kind by name; they are imported when they are first used.
+    """Components of one kind by name; they are imported when they are first asked for by name.
 
     An installed package adds its own by an entry point of the group `tactorch.SECTION`:
 
@@ -43,9 +45,20 @@ class Registry:
         """Return the names of the components of tactorch."""
         return tuple(self._paths)
 
-    def extensions(self) -> tuple[str, ...]:
-        """Return the import path "module:attribute" of each component of another package."""
-        return tuple(entry.value for entry in self._plugins().values())
+    def plugins(self) -> dict[str, str]:
+        """Return what each component of an installed package is, without importing it."""
+        found = self._plugins().items()
+        return {name: origin(entry) for name, entry in found if name not in self._paths}
+
+    def base(self) -> Any:
+        """Return the class of settings that components derive from; None if they are functions."""
+        from tactorch.config.options import Options
+
+        classes = [c for c in map(self.__getitem__, self._paths) if inspect.isclass(c)]
+        if not classes:
+            return None
+        common = next(b for b in classes[0].__mro__ if all(b in c.__mro__ for c in classes))
+        return common if issubclass(common, Options) else Options
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names."""
@@ -72,13 +85,28 @@ class Registry:
         plugins = self._plugins()
         if name not in plugins:
             raise ConfigError(unknown_choice(self.section, name, self.names()))
+        return self._load(name, plugins[name])
+
+    def _load(self, name: str, entry: Any) -> Any:
+        """Import a component of another package, which may raise, print or end the process."""
         try:
-            return plugins[name].load()
-        except Exception as error:  # whatever code of another package raises
+            with redirect_stdout(sys.stderr):
+                component = entry.load()
+        except (Exception, SystemExit) as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise ConfigError(
-                f"{self.section} '{name}' of the entry point {plugins[name].value} cannot be "
-                f"loaded ({type(error).__name__}: {error}); repair or uninstall that package."
+                f"{self.section} '{name}' of the entry point {entry.value} cannot be "
+                f"loaded ({reason}); repair or uninstall that package. Its distribution is "
+                f"{package(entry)}."
             ) from error
+        base = self.base()
+        if base and not (inspect.isclass(component) and issubclass(component, base)):
+            raise ConfigError(
+                f"{self.section} '{name}': {entry.value} is no {base.__name__.lower()}; derive the "
+                f"class from {base.__module__}.{base.__qualname__}, or uninstall that package. Its "
+                f"distribution is {package(entry)}."
+            )
+        return component
 
     def name_of(self, component: type) -> str:
         """Return the name of a component class, or its import path where it has no name."""
@@ -125,6 +153,16 @@ class Registry:
 
     def _plugins(self) -> dict[str, Any]:
         return {entry.name: entry for entry in entry_points(group=f"tactorch.{self.section}")}
+
+
+def package(entry: Any) -> str:
+    """Return the name of the distribution of an entry point."""
+    return entry.dist.name if entry.dist is not None else "unknown"
+
+
+def origin(entry: Any) -> str:
+    """Return distribution and import path of an entry point."""
+    return f"{package(entry)} ({entry.value})"
 
 
 def missing_setting(name: str, expectation: str) -> str:

@@ -49,12 +49,12 @@ def load_target(path: Any, registry: Registry, where: str) -> type[Options]:
         sys.path.append(os.getcwd())
     try:
         component = getattr(import_module(module), name)
-    except Exception as error:  # whatever code of another package raises
+    except (Exception, SystemExit) as error:  # whatever code of another package raises
         raise ConfigError(
             f"'{where}': {TARGET}: {path} cannot be imported ({type(error).__name__}: {error}); "
             "check the path. The working directory and PYTHONPATH are searched."
         ) from error
-    base = _base_of(registry)
+    base = registry.base() or Options
     if not (inspect.isclass(component) and issubclass(component, base)):
         raise ConfigError(
             f"'{where}': {TARGET}: {path} is no {registry.section}; derive the class from "
@@ -79,11 +79,3 @@ def _installed() -> set[str]:
     groups = (group for group in found.groups if group.startswith(_GROUPS))
     return {entry.value.partition(".")[0].partition(":")[0]
             for group in groups for entry in found.select(group=group)}  # fmt: skip
-
-
-def _base_of(registry: Registry) -> type[Options]:
-    """Return the class that all built-in components of a kind derive from."""
-    classes = [component for component in map(registry.__getitem__, registry.builtin())
-               if inspect.isclass(component)]  # fmt: skip
-    common = [base for base in classes[0].__mro__ if all(base in c.__mro__ for c in classes)]
-    return common[0] if issubclass(common[0], Options) else Options

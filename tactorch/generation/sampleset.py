@@ -128,7 +128,7 @@ class SampleSet:
                 reader.parse_json("facts", reader.attribute("/", "facts", str)),
                 Recording(**reader.fields(), check_units=False),
                 _reconstruction(reader),
-                json.loads(reader.attribute("/", "figures", str)),
+                reader.parse_json("figures", reader.attribute("/", "figures", str)),
                 read_touch(reader),
             )
 

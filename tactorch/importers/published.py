@@ -30,6 +30,7 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.budget import TEXT, read_content
 from tactorch.config import Options, option
 from tactorch.errors import FileError, RecordingError
 from tactorch.files import require_file, require_folder
@@ -323,7 +324,7 @@ def _entry(tokens: list[str], numbers: list[float], where: str, size: int) -> tu
 def _rows(path: Path, what: str) -> Iterator[tuple[int, list[str], list[float]]]:
     """Yield the number, the words and the finite numbers of each line that is not empty."""
     try:
-        lines = require_file(path, what).read_text(encoding="utf-8").splitlines()
+        lines = read_content(require_file(path, what), TEXT).decode("utf-8").splitlines()
     except UnicodeDecodeError as error:
         raise FileError(f"'{path}' is not a text file: {error}; give numbers as text") from error
     for line, words in enumerate(map(str.split, lines), start=1):

@@ -9,11 +9,13 @@ from typing import Any, NoReturn
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.budget import TEXT, check_memory, read_content
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import require_file
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".parquet")
 _DELIMITERS = ",;\t"
+_BYTES_PER_CELL = 64  # of a number of Python in a list
 _MISSING = ("", "nan", "na", "null", "none")
 
 
@@ -66,7 +68,7 @@ def read_sheet(path: str | Path, what: str = "table of presses") -> Sheet:
 
 def _text(source: Path) -> Sheet:
     try:
-        content = source.read_text(encoding="utf-8-sig")
+        content = read_content(source, TEXT).decode("utf-8-sig")
         lines = [
             (number, line)
             for number, line in enumerate(content.splitlines(), start=1)
@@ -103,12 +105,42 @@ def _parquet(source: Path) -> Sheet:
             f"'{source}' needs pyarrow: pip install 'tactorch[tables]', or save it as CSV."
         ) from error
     try:
-        table = parquet.read_table(source)
+        file = parquet.ParquetFile(source, read_dictionary=_text_columns(source))
+        _check_rows(source, file.metadata.num_rows, file.metadata.num_columns)
+        table = file.read()
     except (pyarrow.ArrowException, OSError, ValueError) as error:
         raise FileError(f"'{source}' cannot be read as Parquet: {error}.") from error
     _check_names(source, table.column_names)
-    columns = {name: table.column(name).to_pylist() for name in table.column_names}
+    columns = {name: _cells(table.column(name)) for name in table.column_names}
     return Sheet(source, columns, [f"row {i}" for i in range(table.num_rows)])
+
+
+def _text_columns(source: Path) -> list[str]:
+    """Return the columns that are not of numbers; their repeated values are stored once."""
+    from pyarrow import parquet, types
+
+    schema = parquet.read_schema(source)
+    nested = next((f.name for f in schema if types.is_nested(f.type)), None)
+    if nested is not None:
+        raise FileError(f"'{source}' has a list or table in each row of {nested!r}; remove it.")
+    return [f.name for f in schema if types.is_string(f.type) or types.is_binary(f.type)]
+
+
+def _cells(column: Any) -> list[Any]:
+    """Return the cells of a column; equal texts that the file has once are one object."""
+    cells: list[Any] = []
+    for chunk in column.chunks:
+        if not hasattr(chunk, "dictionary"):
+            cells += chunk.to_pylist()
+            continue
+        values = chunk.dictionary.to_pylist()
+        cells += [None if i is None else values[i] for i in chunk.indices.to_pylist()]
+    return cells
+
+
+def _check_rows(source: Path, rows: int, columns: int) -> None:
+    claim = f"{rows} rows of {columns} columns"
+    check_memory(source, claim, rows * columns * _BYTES_PER_CELL)
 
 
 def _as_text(cell: Any) -> str:

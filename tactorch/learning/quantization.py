@@ -8,6 +8,8 @@ from zipfile import ZIP_LZMA, ZIP_STORED, ZipFile
 import torch
 from torch import Tensor
 
+from tactorch.budget import unpack
+
 _FACTORS = torch.linspace(0.5, 1.0, 11)  # of the largest weight, candidates for the range
 
 
@@ -54,9 +56,14 @@ def compress(content: Mapping[str, Any]) -> bytes:
 
 
 def decompress(archive: io.BytesIO) -> io.BytesIO:
-    """Return an archive of `torch.save` or `compress` in the form that `torch.load` reads."""
+    """Return an archive of `torch.save` or `compress` in the form that `torch.load` reads.
+
+    Checksums are verified, which torch does not.
+    """
     with ZipFile(archive) as content:
         if all(entry.compress_type == ZIP_STORED for entry in content.infolist()):
+            if (damaged := content.testzip()) is not None:
+                raise ValueError(f"the checksum of {damaged} differs")
             archive.seek(0)
             return archive
     return _with_compression(archive, ZIP_STORED)
@@ -82,6 +89,6 @@ def _with_compression(archive: io.BytesIO, kind: int) -> io.BytesIO:
     changed = io.BytesIO()
     with ZipFile(archive) as old, ZipFile(changed, "w", kind) as new:
         for entry in old.infolist():
-            new.writestr(entry.filename, old.read(entry))
+            new.writestr(entry.filename, unpack(old, entry))
     changed.seek(0)
     return changed

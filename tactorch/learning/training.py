@@ -25,8 +25,9 @@ from lightning.pytorch.callbacks import EarlyStopping, LambdaCallback, ModelChec
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 from torch import Tensor
 
+from tactorch.budget import check_archive, check_memory, read_content
 from tactorch.config import Options, option
-from tactorch.errors import ConfigError, FileError
+from tactorch.errors import ConfigError, FileError, TactorchError
 from tactorch.files import write_file
 from tactorch.learning.loggers import LoggerOptions, TensorBoard, log_scores
 from tactorch.learning.quantization import decompress, dequantize
@@ -310,13 +311,15 @@ def read_checkpoint(path: Path) -> Mapping[str, Any]:
         FileError: The file is missing or damaged.
     """
     try:
-        archive = io.BytesIO(path.read_bytes())
-        with ZipFile(archive) as entries:  # torch does not compare the checksums
-            damaged = entries.testzip()
-        if damaged is not None:
-            raise ValueError(f"the checksum of {damaged} differs")
+        archive = io.BytesIO(read_content(path))
+        with ZipFile(archive) as entries:
+            check_archive(path, entries, 3.0)
         content = torch.load(decompress(archive), map_location="cpu", weights_only=True)
-        content["state_dict"].items()
+        state = content["state_dict"]
+        # A tensor may repeat one number; the network has all of them.
+        check_memory(path, "its weights", 3.0 * 4.0 * _count(state))
+    except TactorchError:
+        raise
     except FileNotFoundError as error:
         raise FileError(f"checkpoint not found: '{path}'.") from error
     except Exception as error:  # errors of damaged archives have no common base class
@@ -341,6 +344,7 @@ def load_network(
     """
     content = read_checkpoint(path)
     try:
+        _check_sizes(network_class, content)
         network = network_class(**content["hyper_parameters"])
         network.load_state_dict(dequantize(content["state_dict"], content.get("scales", {})))
     except ConfigError as error:
@@ -349,3 +353,18 @@ def load_network(
         reason = " ".join(str(error).split())[:120]
         raise FileError(f"weights '{path}' are not a {kind}'s ({reason}); {advice}.") from error
     return network.eval()
+
+
+def _check_sizes(network_class: Callable[..., _Network], content: Mapping[str, Any]) -> None:
+    """Refuse settings of a network that is larger than the weights of the checkpoint."""
+    settings, stored = content["hyper_parameters"], _count(content["state_dict"])
+    sizes = (value for value in settings.values() if isinstance(value, int))
+    if (largest := max(sizes, default=0)) <= stored:
+        with torch.device("meta"):  # without memory for the weights
+            largest = _count(network_class(**settings).state_dict())
+    if largest > stored:
+        raise RuntimeError(f"its settings describe {largest} weights, and it holds {stored}")
+
+
+def _count(state: Mapping[str, Any]) -> int:
+    return sum(values.numel() for values in state.values())

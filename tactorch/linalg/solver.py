@@ -167,8 +167,8 @@ class AutoSolver(SolverOptions):
 
 
 def available_solvers() -> tuple[str, ...]:
-    """Return the names of the solvers that can be used on this machine, without "auto"."""
-    return tuple(n for n in SOLVERS.names() if n != "auto" and SOLVERS[n].available())
+    """Return the names of tactorch's solvers that can be used on this machine, without "auto"."""
+    return tuple(n for n in SOLVERS.builtin() if n != "auto" and SOLVERS[n].available())
 
 
 def analyse(

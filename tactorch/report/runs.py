@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from tactorch.budget import TEXT, read_content
 from tactorch.errors import FileError, RecordingError, TactorchError
 from tactorch.files import read_json, require_file, require_folder
 from tactorch.inverse import NoiseModel, Reconstruction, Settings
@@ -99,7 +100,7 @@ def load_run(
         recording=loaded,
         missing=missing,
         summary=summary,
-        text=text.read_text(encoding="utf-8", errors="replace") if text.is_file() else "",
+        text=read_content(text).decode("utf-8", errors="replace") if text.is_file() else "",
         log=_load_log(path),
     )
 
@@ -152,7 +153,7 @@ def _load_log(folder: Path) -> str:
     logs = sorted(folder.glob("*.log"), key=lambda path: path.stat().st_mtime)
     if not logs:
         return ""
-    lines = logs[-1].read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = read_content(logs[-1], TEXT).decode("utf-8", errors="replace").splitlines()
     omitted = len(lines) - _LOG_LINES
     head = [f"... {omitted} lines omitted"] if omitted > 0 else []
     return "\n".join([*head, *lines[-_LOG_LINES:]])

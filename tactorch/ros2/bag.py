@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tactorch.errors import ConfigError, FileError
+from tactorch.ros2.limits import limited
 
 _log = logging.getLogger(__name__)
 _SHOWN = 20  # topics that a message lists
@@ -71,6 +72,8 @@ class Bag:
         try:
             for connection, time_ns, raw in self._reader.messages(connections):
                 yield time_ns, self._reader.deserialize(raw, connection.msgtype)
+        except FileError:
+            raise
         except Exception as error:  # errors of damaged bags have no common base
             raise FileError(
                 f"bag '{self.path}': {topic} cannot be read ({_reason(error)}); the bag may be "
@@ -109,9 +112,6 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
     """
     if importlib.util.find_spec("rosbags") is None:
         raise ConfigError("Reading bags needs rosbags: pip install 'tactorch[ros]'.")
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
     source = Path(path)
     if not source.exists():
         raise FileError(f"bag not found: '{source}' is neither a folder nor a file.")
@@ -120,6 +120,14 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
             f"'{source}' is no bag: it has no metadata.yaml. Give the folder that ros2 bag record "
             "wrote, or a file .mcap or .db3."
         )
+    with limited(source):
+        yield from _opened(source)
+
+
+def _opened(source: Path) -> Iterator[Bag]:
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
     try:
         # Bags of earlier versions do not store the definitions of their messages.
         reader = AnyReader([source], default_typestore=get_typestore(Stores.LATEST))
@@ -127,6 +135,8 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
         kinds = {name: info.msgtype or "several types" for name, info in reader.topics.items()}
         counts = {name: info.msgcount for name, info in reader.topics.items()}
         begin, total = reader.start_time, reader.message_count
+    except FileError:
+        raise
     except Exception as error:  # errors of damaged bags have no common base
         raise FileError(
             f"'{source}' cannot be read as a bag ({_reason(error)}). Is it complete? An unfinished "

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tactorch.budget import MAX_PIXELS
 from tactorch.errors import FileError
 from tactorch.files import write_file
 from tactorch.ros2.bag import Bag
@@ -15,7 +16,6 @@ from tactorch.ros2.tracks import PoseTrack
 from tactorch.ros2.transforms import MAX_BACK_S
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-_MAX_PIXELS = 100_000_000
 # Channels of an encoding of 8 bits, and OpenCV's code of the conversion to blue, green, red.
 _ENCODINGS: dict[str, tuple[int, str]] = {
     "bgr8": (3, ""), "8uc3": (3, ""), "rgb8": (3, "COLOR_RGB2BGR"), "bgra8": (4, "COLOR_BGRA2BGR"),
@@ -131,7 +131,7 @@ def encode(message: Any, what: str) -> tuple[bytes, str]:
         )
     channels, conversion = _ENCODINGS[encoding]
     height, width, step = message.height, message.width, message.step
-    if not 0 < height * width <= _MAX_PIXELS:
+    if not 0 < height * width <= MAX_PIXELS:
         raise FileError(f"{what}: the image is {width} x {height} px.")
     if step < width * channels or len(data) < height * step:
         raise FileError(

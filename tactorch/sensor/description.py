@@ -16,12 +16,11 @@ from jaxtyping import Bool, Float
 
 from tactorch.config import Options, option, to_mapping
 from tactorch.errors import ConfigError, FileError, RecordingError
-from tactorch.files import atomic_path, require_file
+from tactorch.files import atomic_path, read_yaml, require_file
 from tactorch.recording import MaterialSpec
 
 _MAX_FIELD_OF_VIEW = 3.0  # times the size of the gel
 _MIN_PIXEL_MM, _MAX_PIXEL_MM = 1e-4, 1.0
-_MAX_BYTES, _MAX_DEPTH = 1_000_000, 10
 _EXPONENT = re.compile(r"[-+]?[\d.]+[eE][-+]?\d+")
 _FOLDER = Path(__file__).parent / "sensors"
 #: Names of the descriptions shipped with tactorch.
@@ -309,7 +308,7 @@ def load_sensor(name: str | Path) -> SensorDescription:
     else:
         path = require_file(name, f"sensor description (or one of {', '.join(SENSORS)})")
     what = f"sensor description '{path}'"
-    content = _read_yaml(path, what)
+    content = read_yaml(path, what)
     if not isinstance(content, dict):
         raise FileError(f"{what} has no fields; see the shipped ones.")
     try:
@@ -329,29 +328,6 @@ def save_sensor(sensor: SensorDescription, path: str | Path) -> None:
     with atomic_path(path) as temporary:
         text = yaml.safe_dump(to_mapping(sensor), sort_keys=False, default_flow_style=None)
         temporary.write_text(text, encoding="utf-8")
-
-
-def _read_yaml(path: Path, what: str) -> Any:
-    """Read a small YAML file without aliases or deep nesting, on which the parser recurses."""
-    if path.stat().st_size > _MAX_BYTES:
-        raise FileError(f"{what} has {path.stat().st_size} bytes; give one of up to {_MAX_BYTES}.")
-    try:
-        text, depth = path.read_text(encoding="utf-8"), 0
-        for event in yaml.parse(text, Loader=yaml.SafeLoader):
-            if isinstance(event, yaml.AliasEvent):
-                raise FileError(
-                    f"{what} uses the alias '*{event.anchor}'; write the value in its place."
-                )
-            depth += isinstance(event, yaml.CollectionStartEvent)
-            depth -= isinstance(event, yaml.CollectionEndEvent)
-            if depth > _MAX_DEPTH:
-                raise FileError(
-                    f"{what} is nested deeper than {_MAX_DEPTH} levels; see the shipped ones."
-                )
-        return yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError) as error:  # also dates and numbers that do not exist
-        reason = " ".join(str(error).split())
-        raise FileError(f"{what} is not valid YAML: {reason}.") from error
 
 
 def _plain_numbers(value: Any, name: str = "") -> Any:

@@ -5,6 +5,7 @@ image and with its fault; reading continues with the next.
 """
 
 import io
+import os
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -22,6 +23,7 @@ import torch
 from jaxtyping import Float, UInt8
 from PIL import Image as PillowImage
 
+from tactorch.budget import MAX_PIXELS, check_memory, read_content
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import natural_key, require_file, require_folder
@@ -36,7 +38,7 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv", ".webm", ".mpg", ".mpeg")
 
 _FORMATS = ("PNG", "JPEG", "BMP", "TIFF")  # as Pillow names them
-_MAX_PIXELS = 100_000_000
+_MAX_SCANS = 100  # of a progressive JPEG, each of which takes the time of a picture
 _MAX_FRAME_RATE_HZ = 100_000.0
 _MAX_MISSING_FRAMES = 10_000  # reported at the end of a truncated video
 _MAX_QUEUED_FRAMES = 600  # of a camera; later frames are dropped
@@ -286,22 +288,28 @@ def open_source(source: Source) -> Iterator[Frame]:
 def read_image(path: str | Path) -> Image:
     """Read an image file as RGB."""
     # cv2.imread prints messages and cannot open every path.
-    content = require_file(path, "image").read_bytes()
+    content = read_content(require_file(path, "image"))
     try:
+        if content.count(b"\xff\xda") > _MAX_SCANS and content.startswith(b"\xff\xd8"):
+            raise PillowImage.DecompressionBombError(f"it has more than {_MAX_SCANS} scans")
         # A large or damaged image is refused before memory is allocated for its pixels.
         with (
             warnings.catch_warnings(action="ignore"),  # of Pillow's own, larger limit
             PillowImage.open(io.BytesIO(content), formats=_FORMATS) as header,
         ):
             width, height = header.size
-            if width * height > _MAX_PIXELS:
+            if width * height > MAX_PIXELS:
                 raise PillowImage.DecompressionBombError(
-                    f"{width} x {height} px exceed the limit of {_MAX_PIXELS:.0e} pixels"
+                    f"{width} x {height} px exceed the limit of {MAX_PIXELS:.0e} pixels"
                 )
+            # Decoded as BGR, converted to RGB, and before that decoded by Pillow (TIFF).
+            check_memory(f"image '{path}'", f"{width} x {height} px", 16.0 * width * height)
             if header.format == "TIFF":
                 header.load()  # OpenCV ignores errors in TIFF data
         image: Any = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
         return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    except FileError:
+        raise
     except PillowImage.DecompressionBombError as error:
         raise FileError(f"image '{path}' is too large: {error}; give a smaller image.") from error
     except Exception as error:  # errors of damaged files have no common base class
@@ -346,16 +354,18 @@ def video_length(path: Path) -> int:
 def _open_video(path: Path) -> Any:
     """Open a video file as `cv2.VideoCapture`."""
     require_file(path, "video")
+    # Also frames within the file that are larger than its header says.
+    os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", f"max_pixels;{MAX_PIXELS}")
     capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
         raise FileError(f"video '{path}' cannot be opened: it is damaged, or of an unknown codec.")
     width = capture.get(cv2.CAP_PROP_FRAME_WIDTH)
     height = capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
-    if not width * height <= _MAX_PIXELS:
+    if not width * height <= MAX_PIXELS:
         capture.release()
         raise FileError(
             f"video '{path}' is too large: {width:.0f} x {height:.0f} px exceed the limit of"
-            f" {_MAX_PIXELS:.0e} pixels; give a smaller video."
+            f" {MAX_PIXELS:.0e} pixels; give a smaller video."
         )
     return capture
 

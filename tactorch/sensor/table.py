@@ -5,10 +5,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from tactorch.budget import check_memory
 from tactorch.errors import FileError
 from tactorch.files import require_file
 
-_MAX_BYTES = 256_000_000
+_EXPANSION = 4.0  # bytes of numbers for each byte of text
 
 
 class Row(NamedTuple):
@@ -47,8 +48,8 @@ def read_rows(
     or not text, or that lacks a column, raises `FileError`.
     """
     file, what = require_file(path, kind), f"{kind} '{path}'"
-    if file.stat().st_size > _MAX_BYTES:
-        raise FileError(f"{what} has {file.stat().st_size} bytes; give one of up to {_MAX_BYTES}.")
+    size = file.stat().st_size
+    check_memory(what, f"its content of {size} bytes", _EXPANSION * size)
     try:
         # Spreadsheets start files with a byte order mark.
         with open(file, newline="", encoding="utf-8-sig") as text:

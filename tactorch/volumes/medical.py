@@ -1,7 +1,10 @@
 """Reading of NIfTI files and of segmentations in DICOM (through nibabel and highdicom)."""
 
+import gzip
 import importlib.util
 import logging
+import math
+import struct
 import warnings
 from pathlib import Path
 from typing import Any
@@ -9,10 +12,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from tactorch.errors import ConfigError, FileError
-from tactorch.volumes.volume import MAX_VOXELS
+from tactorch import budget
+from tactorch.errors import ConfigError, FileError, TactorchError
 
 _log = logging.getLogger(__name__)
+#: Bytes of a label in memory.
+LABEL_BYTES = 4
 _MAX_APART = 0.5  # of the places of a voxel by sform and qform, in voxels
 _UNITS = {"mm": "mm", "meter": "m", "micron": "um", "unknown": "mm"}
 # SOP classes: Segmentation Storage, Label Map Segmentation Storage.
@@ -23,23 +28,21 @@ def read_nifti(source: Path) -> tuple[np.ndarray, Float[np.ndarray, "4 4"], str]
     """Read the array of a file, its affine matrix, and the unit of the matrix ("um", "mm", "m")."""
     if importlib.util.find_spec("nibabel") is None:
         raise ConfigError("Reading NIfTI needs nibabel: pip install 'tactorch[volumes]'.")
-    import nibabel as nib
 
     try:
-        image: Any = nib.load(source)
+        image: Any = _open_nifti(source)
         # nibabel takes 1 for a size of 0; an sform does not use it.
         with image.file_map["image"].get_prepare_fileobj("rb") as file:
             stored = type(image.header).from_fileobj(file, check=False)
         sizes = np.abs(stored["pixdim"][1:4])
-        shape = image.shape
-        if np.prod(shape, dtype=float) > MAX_VOXELS:
-            raise ValueError(f"{shape} are more than {MAX_VOXELS:.0e} voxels")
         # With the header's scaling: labels stored as bytes may have a slope.
         values = np.asarray(image.dataobj)
         affine = np.asarray(image.affine, dtype=np.float64)
         unit = str(image.header.get_xyzt_units()[0])
         forms = {key: int(image.header[f"{key}_code"]) for key in ("sform", "qform")}
         apart = _apart(image) if all(forms.values()) else 0.0
+    except TactorchError:
+        raise
     except Exception as error:  # errors of damaged files have no common base
         raise FileError(
             f"'{source}' cannot be read as NIfTI: {_reason(error)}. Is the file complete, and of"
@@ -65,6 +68,28 @@ def read_nifti(source: Path) -> tuple[np.ndarray, Float[np.ndarray, "4 4"], str]
     return values, affine, _UNITS.get(unit, "mm")
 
 
+def _open_nifti(source: Path) -> Any:
+    """Open a file whose voxels it holds, and which fit into the memory."""
+    import nibabel as nib
+
+    is_packed = source.name.lower().endswith(".gz")
+    with gzip.open(source) if is_packed else source.open("rb") as file:
+        start = file.read(540)
+    is_second = start[:4] in (struct.pack("<i", 540), struct.pack(">i", 540))
+    kind: Any = nib.Nifti2Image if is_second else nib.Nifti1Image
+    header = kind.header_class(start[: kind.header_class.sizeof_hdr], check=False)
+    voxels, item = math.prod(map(int, header.get_data_shape())), header.get_data_dtype().itemsize
+    claim = f"voxels of shape {header.get_data_shape()} and {header.get_data_dtype()}"
+    content = voxels * item + max(int(header["vox_offset"]), 0)
+    budget.check_stored(source, claim, content / (budget.DEFLATE if is_packed else 1))
+    scaled = 8 if header.get_slope_inter() != (None, None) else 0
+    kept = voxels * (item + scaled + LABEL_BYTES)
+    budget.check_memory(source, claim, kept + content * is_packed)
+    if not is_packed:
+        return nib.load(source)
+    return kind.from_stream(budget.gunzip(source, kept))
+
+
 def read_segmentation(
     source: Path,
 ) -> tuple[Int[np.ndarray, "i j k"], Float[np.ndarray, "4 4"], dict[int, str]]:
@@ -81,6 +106,7 @@ def read_segmentation(
 
     try:
         with warnings.catch_warnings(action="ignore"):
+            _check_deflated(source)
             dataset = pydicom.dcmread(source)
             if dataset.get("SOPClassUID") not in _SEGMENTATIONS:
                 kind = dataset.get("Modality", "unknown")
@@ -89,13 +115,17 @@ def read_segmentation(
                     "segmentation of the images."
                 )
             segments = hd.seg.Segmentation.from_dataset(dataset, copy=False)
+            if (geometry := segments.get_volume_geometry()) is not None:  # else an error follows
+                shape = tuple(map(int, geometry.spatial_shape))
+                needed = 2 * LABEL_BYTES * math.prod(shape) + source.stat().st_size
+                budget.check_memory(source, f"a volume of {shape} voxels", needed)
             volume = segments.get_volume(combine_segments=True)
             names = {
                 int(number): str(segments.get_segment_description(number).segment_label)
                 for number in segments.segment_numbers
             }
             return volume.array.astype(np.int32), np.array(volume.affine, dtype=float), names
-    except FileError:
+    except TactorchError:
         raise
     except Exception as error:  # errors of damaged files have no common base
         reason = _reason(error)
@@ -107,6 +137,17 @@ def read_segmentation(
         raise FileError(
             f"'{source}' cannot be read as a DICOM segmentation: {reason}.{hint}"
         ) from error
+
+
+def _check_deflated(source: Path) -> None:
+    """Refuse a compressed data set that pydicom would unpack into too much memory."""
+    from pydicom import filereader, uid
+
+    with source.open("rb") as file:
+        filereader.read_preamble(file, force=False)
+        meta = filereader._read_file_meta_info(file)
+        if meta.get("TransferSyntaxUID") == uid.DeflatedExplicitVRLittleEndian:
+            budget.check_deflated(source, file)
 
 
 def _apart(image: Any) -> float:

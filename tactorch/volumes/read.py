@@ -17,9 +17,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from tactorch.errors import ConfigError, FileError
-from tactorch.files import read_arrays, require_file
-from tactorch.volumes.medical import read_nifti, read_segmentation
+from tactorch import budget
+from tactorch.errors import ConfigError, FileError, TactorchError
+from tactorch.files import as_array, read_arrays, require_file
+from tactorch.volumes.medical import LABEL_BYTES, read_nifti, read_segmentation
 from tactorch.volumes.nrrd import SUFFIXES, read_nrrd
 from tactorch.volumes.volume import LabelVolume
 
@@ -103,17 +104,23 @@ def as_labels(values: np.ndarray, source: Path) -> Int[np.ndarray, "i j k"]:
         raise FileError(f"'{source}' has no voxel: its shape is {array.shape}.")
     if array.dtype.kind not in "biuf":
         raise FileError(f"'{source}' holds {array.dtype}; labels are whole numbers.")
-    if array.dtype.kind == "f":
-        whole = array == np.round(array)
-        if not whole.all():
-            example = float(array[~whole].flat[0])
-            raise FileError(
-                f"'{source}' has voxels that are not whole numbers, such as {example:g}: an image "
-                "or a probability instead of labels. Give the segmentation, without interpolation."
-            )
-    if float(np.abs([array.min(), array.max()]).max()) > _MAX_LABEL:
+    labels = np.empty(array.shape, np.int32)
+    for part, kept in zip(array, labels, strict=True):  # slices, as copies of all take much memory
+        kept[...] = _whole(part, source)
+    return labels
+
+
+def _whole(part: np.ndarray, source: Path) -> np.ndarray:
+    """Return a slice of whole numbers, or raise `FileError`."""
+    if part.dtype.kind == "f" and not (whole := part == np.round(part)).all():
+        raise FileError(
+            f"'{source}' has voxels that are not whole numbers, such as {part[~whole].flat[0]:g}: "
+            "an image or a probability instead of labels. Give the segmentation, without "
+            "interpolation."
+        )
+    if float(np.abs([part.min(), part.max()]).max()) > _MAX_LABEL:
         raise FileError(f"'{source}' has labels above {_MAX_LABEL}; number them from 1.")
-    return array.astype(np.int32)
+    return part
 
 
 def _read_arrays(
@@ -122,13 +129,16 @@ def _read_arrays(
     """Read an array of labels and the place of its voxels from .npz or .npy."""
     if kind == "npy":
         try:
-            arrays = {"labels": np.load(source, allow_pickle=False)}
+            arrays = {"labels": as_array(budget.read_content(source, 1 + LABEL_BYTES))}
+        except TactorchError:
+            raise
         except Exception as error:  # errors of damaged files have no common base
             raise FileError(
                 f"'{source}' cannot be read ({error}); write it again with numpy.save."
             ) from error
     else:
-        arrays = read_arrays(source, "volume of labels", "write it again with numpy.savez.")
+        remedy = "write it again with numpy.savez."
+        arrays = read_arrays(source, "volume of labels", remedy, 1 + LABEL_BYTES)
     if "labels" not in arrays:
         held = ", ".join(arrays) or "nothing"
         raise FileError(f"'{source}' has no array 'labels'; it has {held}.")

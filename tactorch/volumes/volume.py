@@ -10,8 +10,6 @@ from jaxtyping import Float, Int
 from tactorch.errors import FileError
 from tactorch.mesh.values import Points
 
-#: More voxels than a file may have.
-MAX_VOXELS = 1_000_000_000
 _MIN_VOLUME = 1e-9  # of a voxel, over its longest edge cubed
 _SHOWN = 20  # labels that a message lists
 

@@ -253,7 +253,7 @@ BAD = {
     "no suffix": (lambda p: _text(p / "labels.txt"), {}, "no volume of labels"),
     "not NIfTI": (lambda p: _text(p / "v.nii"), {}, "cannot be read as NIfTI"),
     "not gzip": (lambda p: _text(p / "v.nii.gz"), {}, "cannot be read as NIfTI"),
-    "cut short": (lambda p: _cut(nifti(p / "v.nii", block())), {}, "cannot be read as NIfTI"),
+    "cut short": (lambda p: _cut(nifti(p / "v.nii", block())), {}, "is incomplete"),
     "4-D": (lambda p: nifti(p / "v.nii", np.stack([block()] * 2, -1)), {}, "three axes"),
     "2-D": (lambda p: nifti(p / "v.nii", block()[..., 0]), {}, "three axes"),
     "probabilities": (lambda p: nifti(p / "v.nii", block() * 0.3), {}, "not whole numbers"),

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 DepthMethod = Literal["lookup", "fit"]
 FORMAT, VERSION = "tactorch-calibration", 1
 _PREFIX, _CAMERA = "map/", "camera/"
-_MAX_BYTES = 500_000_000  # of the unpacked arrays
 _REMEDY = "it is damaged or another file. Calibrate again."
 _FORMER_NAMES = {"smallest": "min_area", "largest": "max_area"}
 
@@ -138,7 +137,7 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
 
 def load_calibration(path: str | Path) -> Calibration:
     """Read a calibration."""
-    arrays = read_arrays(path, "calibration", _REMEDY, _MAX_BYTES)
+    arrays = read_arrays(path, "calibration", _REMEDY)
     try:
         about = json.loads(str(arrays.pop("about")))
         if about["format"] != FORMAT:
