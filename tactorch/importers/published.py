@@ -134,7 +134,8 @@ def import_published(folder: str | Path, **options: Any) -> Recording:
 def _read_rest(path: Path, round_rest_m: float | None, check_units: bool) -> TetMesh:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # reported below as an error
-        mesh = read_mesh(require_file(path, "mesh of the published case"), unit="m")
+        source = require_file(path, "mesh of the published case")
+        mesh = read_mesh(source, unit="m", drop_unreferenced=False)
     low, high = PLAUSIBLE_MM
     if check_units and not low <= mesh.diagonal <= high:
         raise FileError(

@@ -42,7 +42,7 @@ class TableOptions(PointOptions):
         """Read a file or a folder; see `import_table`."""
         if self.mesh is None:
             raise ConfigError("format.mesh is required: the mesh of the object at rest.")
-        mesh = read_mesh(self.mesh, self.unit)
+        mesh = read_mesh(self.mesh, self.unit, drop_unreferenced=False)
         files = press_files(Path(path), SUFFIXES, "table")
         presses = [data for file in files for data in self._read(read_sheet(file), len(files) > 1)]
         names = [data.name for data in presses]

@@ -53,7 +53,7 @@ class VtkOptions(PointOptions):
         """Read a file or a folder; see `import_vtk`."""
         files = [read_vtk(file) for file in _files(Path(path))]
         if self.mesh is not None:
-            mesh = read_mesh(self.mesh, self.unit)
+            mesh = read_mesh(self.mesh, self.unit, drop_unreferenced=False)
         else:
             mesh = self._rest(files[0])
             if not files[0].fields:

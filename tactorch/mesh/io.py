@@ -1,22 +1,30 @@
-"""Reading and writing meshes and surfaces (through meshio); lengths are converted to mm."""
+"""Reading and writing meshes and surfaces; lengths are converted to mm."""
 
 import contextlib
 import importlib
 import io
+import logging
 import re
-import struct
 import warnings
-from collections.abc import Iterator, Mapping
-from itertools import groupby
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Bool, Int
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
-from tactorch.errors import ConfigError, FileError, MeshError
+from tactorch.budget import check_memory
+from tactorch.errors import ConfigError, FileError, MeshError, TactorchError
 from tactorch.files import atomic_path, require_file
 from tactorch.mesh.checks import as_cells, as_points, listing, unreferenced
+from tactorch.mesh.formats.abaqus import read_abaqus
+from tactorch.mesh.formats.cells import AS_TETS, SOLIDS, MeshFile, as_solid, as_tets
+from tactorch.mesh.formats.gmsh import read_gmsh
+from tactorch.mesh.formats.surfaces import Polygons, read_obj, read_ply, read_stl, triangulated
 from tactorch.mesh.geometry import bounding_diagonal
 from tactorch.mesh.tetmesh import TetMesh, compact
 from tactorch.mesh.values import Points, Rows, Triangles
@@ -24,49 +32,84 @@ from tactorch.mesh.values import Points, Rows, Triangles
 if TYPE_CHECKING:
     import meshio
 
-# meshio's modules by file suffix. Its own dispatcher guesses ANSYS for .msh and ends the process
-# on a damaged file, so the modules are called directly.
+_log = logging.getLogger(__name__)
+# meshio's modules by file suffix, which write all formats and read .vtu. Its own dispatcher guesses
+# ANSYS for .msh and ends the process on a damaged file, so the modules are called directly.
 _MESH_FORMATS = {".msh": "gmsh", ".vtu": "vtu", ".inp": "abaqus"}
 _SURFACE_FORMATS = {".stl": "stl", ".obj": "obj", ".ply": "ply"}
 #: Suffixes of files that `write_mesh` writes.
 MESH_SUFFIXES = tuple(_MESH_FORMATS)
 #: Name of the regions in the cell data of a file.
 REGION = "region"
+# The names of others, without underscores and capitals: meshio, gmsh, OpenGeoSys, ParaView, SOFA.
+_REGIONS = f"""{REGION} gmsh:physical cellentityids materialids material materialid regionid regions
+label labels celltags subdomain domain""".split()
 _MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 #: Bounding-box diagonals between which an object pressed by hand or robot is plausible, mm.
 PLAUSIBLE_MM = (0.5, 5000.0)
+# Vertices closer than this are one, over the diagonal: the digits of many files.
+_SAME = 1e-6
+_MAX_DIAGONAL = 1e100  # whose square is a number
+_MAX_NEAR = 50  # pairs of close vertices for each vertex
+_HEAD = 1000  # bytes in which a file of VTK names its compression
+_MESHIO_EXPANSION = 8  # bytes of memory for each of a file
 
 
-def read_mesh(path: str | Path, unit: str = "mm", *, drop_unreferenced: bool = False) -> TetMesh:
+def read_mesh(
+    path: str | Path, unit: str = "mm", *, drop_unreferenced: bool | None = None
+) -> TetMesh:
     """Return the tetrahedral mesh (mm) of a .msh (gmsh), .vtu or .inp (Abaqus, CalculiX) file.
 
-    Nodes and tetrahedra keep the order of the file, because other files refer to them by index.
-    Points, lines and surface cells are ignored; inverted tetrahedra are reoriented. A warning names
-    the likely unit of an object that is implausibly small or large. The regions are those of the
-    cell data `region`, or else the physical groups of gmsh.
+    Nodes and elements keep the order of the file. Hexahedra, wedges and pyramids are divided into
+    tetrahedra that fit together, and elements of higher order are read with their corner nodes;
+    messages say so. Points, lines and surface cells are ignored; inverted tetrahedra are
+    reoriented. A warning names the likely unit of an object that is implausibly small or large.
+
+    Regions are the cell data `region` or a field of a similar name; the physical groups of gmsh; or
+    the sets of elements of Abaqus, numbered in their order. Where some of these contain one
+    another, the smallest that has an element is its region.
 
     Args:
         path: Path of the file.
         unit: Length unit of the file: "mm", "cm" or "m".
         drop_unreferenced: Whether to drop nodes that no tetrahedron uses, which renumbers the
-            others.
+            others; by default with a warning. False refuses such files: for data of other files,
+            which refer to nodes by number.
+
+    Raises:
+        ConfigError: The unit is not known.
+        FileError: The file is missing, damaged, of an unknown format, or too large.
+        MeshError: It has no solid elements, or the mesh cannot be used.
     """
     scale, source = _mm_per(unit), require_file(path, "Mesh")
-    content = read_any(source, _MESH_FORMATS)
+    name = _format(source, _MESH_FORMATS)
     with naming(source):
+        with _meshio(f"'{source}' cannot be read as {name}", _HINT):
+            content = _MESH_READERS[name](source)
+        if not len(content.points):
+            raise FileError(f"'{source}' has no points: it is empty, or not of the {name} format.")
         points = as_points(content.points) * scale
-        tets = as_cells(_solid_cells(content), 4, len(points))
+        found, regions = as_tets(content, source)
+        tets = as_cells(found, 4, len(points))
         unused = unreferenced(len(points), tets)
-        if unused.any() and not drop_unreferenced:
-            raise MeshError(
-                f"no tetrahedron uses {listing(unused, 'nodes')}."
-                " Remove them from the file, or read it with drop_unreferenced=True, which"
-                " renumbers the others."
-            )
+        if unused.any():
+            _drop(unused, drop_unreferenced, source)
         points, tets, _ = compact(points, tets)
-        mesh = TetMesh.create(points, tets, regions=_regions(content))
+        mesh = TetMesh.create(points, tets, regions=regions)
     _warn_of_unit(f"Mesh '{source}'", mesh.diagonal, unit)
     return mesh
+
+
+def _drop(unused: Bool[np.ndarray, " n"], allowed: bool | None, source: Path) -> None:
+    """Refuse nodes that no element uses, or report them."""
+    shown = f"no tetrahedron uses {listing(unused, 'nodes')}"
+    if allowed is False:
+        raise MeshError(
+            f"{shown}, and other files refer to nodes by number. Write it without them, and take "
+            "the numbers of the new file: tactorch.write_mesh('new.vtu', tactorch.read_mesh(...))."
+        )
+    if allowed is None:
+        _log.warning("'%s': %s; they are left out, which renumbers the others.", source, shown)
 
 
 def write_mesh(
@@ -101,22 +144,66 @@ def write_mesh(
 def read_surface(path: str | Path, unit: str = "mm") -> tuple[Points, Triangles]:
     """Return vertices (mm) and triangles of the surface in a .stl, .obj or .ply file.
 
-    Vertices with equal coordinates are merged, as STL stores the vertices of each triangle
-    separately; triangles that become points or lines are dropped, and quadrangles are halved.
-    Vertices keep the order of the file. See `read_mesh` for the
-    unit.
+    Vertices that are equal within 1e-6 of the diagonal are merged, as STL stores the vertices of
+    each triangle separately; triangles that become points or lines are dropped, and polygons are
+    divided. Vertices keep the order of the file. See `read_mesh` for the unit.
+
+    Raises:
+        ConfigError: The unit is not known.
+        FileError: The file is missing, damaged, of an unknown format, or too large.
+        MeshError: It has no faces, or vertices that cannot be used.
     """
     scale, source = _mm_per(unit), require_file(path, "Surface")
-    content = read_any(source, _SURFACE_FORMATS)
+    name = _format(source, _SURFACE_FORMATS)
     with naming(source):
-        vertices = as_points(content.points, "vertices")
-        # The reader of STL files merges vertices, so that triangles may have become lines already.
-        faces = as_cells(_without_lines(_triangles(content)), 3, len(vertices), "triangles")
-        _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-        merged = _without_lines(first[same.reshape(-1)][faces])
+        with _meshio(f"'{source}' cannot be read as {name}", _HINT):
+            points, polygons = _SURFACE_READERS[name](source)
+        vertices = as_points(points, "vertices")
+        if not polygons:
+            raise MeshError(_cloud(len(vertices), source))
+        with _meshio(f"'{source}' cannot be read as {name}"):
+            triangles = triangulated(vertices, polygons)
+        # Files may have triangles that are lines already.
+        faces = as_cells(_without_lines(triangles), 3, len(vertices), "triangles")
+        merged = _without_lines(_first_of_same(vertices, source)[faces])
         vertices, triangles, _ = compact(vertices, merged)
     _warn_of_unit(f"Surface '{source}'", bounding_diagonal(vertices) * scale, unit)
     return vertices * scale, triangles
+
+
+def _cloud(count: int, source: Path) -> str:
+    hull = f"pyvista.read({str(source)!r}).delaunay_3d().extract_surface().triangulate()"
+    return (
+        f"{count} points and no faces: a cloud of points. Make a closed triangle surface of it "
+        "first, such as by Screened Poisson Surface Reconstruction in MeshLab, or for a convex "
+        f"body by python -c \"import pyvista; {hull}.save('surface.ply')\"."
+    )
+
+
+def _first_of_same(vertices: Points, source: Path) -> Int[np.ndarray, " n"]:
+    """Return for each vertex the first one at the same place."""
+    _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+    distinct, diagonal = vertices[first], bounding_diagonal(vertices)
+    if diagonal > _MAX_DIAGONAL:
+        raise MeshError(f"its vertices are {diagonal:.3g} apart; repair the coordinates.")
+    tree, radius = cKDTree(distinct), _SAME * diagonal
+    if tree.count_neighbors(tree, radius) > _MAX_NEAR * len(distinct):
+        raise MeshError(
+            f"many of its vertices are closer than {_SAME:g} of its size; remove far points, or "
+            "make the surface coarser."
+        )
+    pairs = tree.query_pairs(radius, output_type="ndarray")
+    if len(pairs):
+        links = coo_array((np.ones(len(pairs), bool), pairs.T), (len(distinct),) * 2)
+        count, labels = connected_components(links, directed=False)
+        _log.warning(
+            "'%s': %d vertices are merged with others within %.2g (in the unit of the file).",
+            source, len(distinct) - count, radius,
+        )  # fmt: skip
+        earliest = np.full(count, len(vertices))
+        np.minimum.at(earliest, labels, first)
+        first = earliest[labels]
+    return first[same.reshape(-1)]
 
 
 def _without_lines(triangles: NDArray) -> NDArray:
@@ -152,40 +239,43 @@ def read_any(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
         FileError: The suffix is unknown, or the file is damaged or has no points.
     """
     name = _format(path, formats)
-    hint = " Is the file complete, and of the format its suffix says?"
-    with _meshio(f"'{path}' cannot be read as {name}", hint):
-        import meshio
-
-        _check_header(path, name)
-        if name == "obj":
-            content = meshio.Mesh(*_read_obj(path))
-        elif name == "ply":  # meshio knows one of the two names that files have
-            text = path.read_bytes().replace(b" vertex_index\n", b" vertex_indices\n", 1)
-            content = meshio.ply.read(io.BytesIO(text))
-        else:
-            content = importlib.import_module(f"meshio.{name}").read(str(path))
+    size = path.stat().st_size
+    check_memory(path, f"its content of {size / 1e6:.0f} MB", _MESHIO_EXPANSION * size)
+    with _meshio(f"'{path}' cannot be read as {name}", _HINT) as output:
+        content: meshio.Mesh = importlib.import_module(f"meshio.{name}").read(str(path))
+        if re.search(r"cannot handle \(type 11\)", output.getvalue()):
+            raise FileError(f"'{path}' has voxels. {AS_TETS}")
     if not len(content.points):
         raise FileError(f"'{path}' contains no points: it is empty, or not of the {name} format.")
     return content
 
 
-def _check_header(path: Path, name: str) -> None:
-    """Refuse damaged headers that meshio would read without end or with excessive memory."""
-    if name == "ply" and not re.search(rb"^end_header\s*?$", path.read_bytes(), re.MULTILINE):
-        raise ValueError("the header has no end")
-    if name == "gmsh":
-        content = path.read_bytes()
-        start = content.find(b"$Nodes\n") + len(b"$Nodes\n")
-        if not re.match(rb"\$MeshFormat\s+4\.1 1 8\s", content) or start < len(b"$Nodes\n"):
-            return
-        blocks, *_ = struct.unpack_from("=4Q", content, start)
-        start += 32
-        for _ in range(blocks):
-            (nodes,) = struct.unpack_from("=Q", content, start + 12)
-            tags = np.frombuffer(content, np.uint64, nodes, start + 20)
-            if tags.size and int(tags.max()) > len(content):  # meshio makes an array of this size
-                raise ValueError(f"there is no node {tags.max()}")
-            start += 20 + 32 * nodes
+def _read_vtu(path: Path) -> MeshFile:
+    """Read a file of VTK."""
+    with path.open("rb") as file:
+        if b"vtkLZ4DataCompressor" in file.read(_HEAD):
+            raise FileError(f"'{path}' is compressed by LZ4; save it with zlib, or uncompressed.")
+    content = read_any(path, _MESH_FORMATS)
+    cells = [as_solid(block.type, block.data.astype(np.int64)) for block in content.cells]
+    fields = {key.lower().replace("_", "").replace(" ", ""): key for key in content.cell_data}
+    for name in _REGIONS:
+        key = fields.get(name)
+        values = [] if key is None else content.cell_data[key]
+        if values and all(
+            np.size(part) == len(c.nodes) for c, part in zip(cells, values, strict=True)
+        ):
+            solid = [np.ravel(v) for c, v in zip(cells, values, strict=True) if c.shape in SOLIDS]
+            return MeshFile(content.points, cells, np.concatenate(solid) if solid else None)
+    return MeshFile(content.points, cells)
+
+
+_MESH_READERS: dict[str, Callable[[Path], MeshFile]] = {
+    "gmsh": read_gmsh, "abaqus": read_abaqus, "vtu": _read_vtu,
+}  # fmt: skip
+_SURFACE_READERS: dict[str, Callable[[Path], Polygons]] = {
+    "stl": read_stl, "obj": read_obj, "ply": read_ply,
+}  # fmt: skip
+_HINT = " Is the file complete, and of the format its suffix says?"
 
 
 def _write(path: str | Path, formats: Mapping[str, str], content: "meshio.Mesh") -> None:
@@ -197,10 +287,10 @@ def _write(path: str | Path, formats: Mapping[str, str], content: "meshio.Mesh")
 
 
 @contextlib.contextmanager
-def _meshio(failure: str, hint: str = "") -> Iterator[None]:
-    """Silence meshio and turn its failures into `FileError`.
+def _meshio(failure: str, hint: str = "") -> Iterator[io.StringIO]:
+    """Silence a reader or writer and turn its failures into `FileError`.
 
-    Its readers raise any exception on damaged files, and may call sys.exit.
+    Readers raise any exception on damaged files; those of meshio print, and may call sys.exit.
     """
     output = io.StringIO()
     try:
@@ -210,8 +300,8 @@ def _meshio(failure: str, hint: str = "") -> Iterator[None]:
             warnings.catch_warnings(),
         ):
             warnings.simplefilter("ignore")
-            yield
-    except FileError:
+            yield output
+    except TactorchError:
         raise
     except (Exception, SystemExit) as error:
         reason = " ".join(f"{output.getvalue()} {error}".split()) or type(error).__name__
@@ -225,44 +315,6 @@ def naming(path: str | Path) -> Iterator[None]:
         yield
     except MeshError as error:
         raise MeshError(f"'{path}': {error}") from error
-
-
-def _solid_cells(content: "meshio.Mesh") -> NDArray:
-    tets = [block.data for block in content.cells if block.type == "tetra" and len(block.data)]
-    solid = sorted({b.type for b in content.cells if b.dim == 3 and b.type != "tetra"})
-    if solid:
-        raise MeshError(
-            f"it contains solid elements other than 4-node tetrahedra: {', '.join(solid)}."
-        )
-    if not tets:
-        types = ", ".join(sorted({b.type for b in content.cells})) or "no cells"
-        raise MeshError(
-            f"it contains no tetrahedra, only {types}. If it is a surface, mesh it with"
-            " tetrahedralize."
-        )
-    return np.concatenate(tets)
-
-
-def _regions(content: "meshio.Mesh") -> NDArray | None:
-    """Return the region number of each tetrahedron; None where the file has none."""
-    name = next((name for name in (REGION, "gmsh:physical") if name in content.cell_data), None)
-    if name is None:
-        return None
-    pairs = zip(content.cells, content.cell_data[name], strict=True)
-    return np.concatenate([data for block, data in pairs if block.type == "tetra"])
-
-
-def _triangles(content: "meshio.Mesh") -> NDArray:
-    # Consecutive halves of a quadrangle keep the order of the file.
-    columns = {"triangle": [0, 1, 2], "quad": [0, 1, 2, 0, 2, 3]}
-    faces = [block for block in content.cells if block.dim == 2]
-    others = [block.type for block in faces if block.type not in columns]
-    if others:
-        raise MeshError(f"it contains faces other than triangles and quadrangles: {others[0]}.")
-    triangles = [block.data[:, columns[block.type]].reshape(-1, 3) for block in faces]
-    if not triangles:
-        raise MeshError("it contains no triangles.")
-    return np.concatenate(triangles)
 
 
 def _fields(what: str, data: Mapping[str, Rows] | None, rows: int) -> dict[str, NDArray]:
@@ -298,33 +350,3 @@ def _warn_of_unit(what: str, diagonal_mm: float, unit: str) -> None:
         UserWarning,
         stacklevel=3,
     )
-
-
-def _read_obj(path: Path) -> tuple[Points, list[tuple[str, NDArray]]]:
-    """Read vertices and runs of faces of one kind of a Wavefront .obj file, in its order.
-
-    meshio refuses files whose texture or normal lists differ in length from the vertex list, which
-    is most files that have any.
-    """
-    vertices: list[list[float]] = []
-    faces: list[list[int]] = []
-    with path.open(encoding="utf-8", errors="strict") as lines:
-        for number, line in enumerate(lines, start=1):
-            key, *fields = line.split("#")[0].split() or [""]
-            try:
-                if key == "v":
-                    if len(fields) < 3:
-                        raise ValueError(f"a vertex needs three coordinates, not {len(fields)}")
-                    vertices.append([float(field) for field in fields[:3]])
-                elif key == "f":
-                    # Vertices count from 1, or back from the latest from -1.
-                    indices = [int(field.split("/")[0]) for field in fields]
-                    for index in indices:
-                        if index == 0 or index < -len(vertices):
-                            raise ValueError(f"there is no vertex {index}")
-                    faces.append([i - 1 if i > 0 else len(vertices) + i for i in indices])
-            except ValueError as error:
-                raise ValueError(f"line {number}: {error}") from error
-    kinds = {3: "triangle", 4: "quad"}
-    runs = [(kinds.get(n, "polygon"), np.array(list(run))) for n, run in groupby(faces, key=len)]
-    return np.array(vertices, dtype=np.float64).reshape(-1, 3), runs

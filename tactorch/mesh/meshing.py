@@ -6,14 +6,17 @@ import logging
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from subprocess import PIPE
 
 import numpy as np
 
 from tactorch.errors import ConfigError, MeshError, TactorchError
 from tactorch.files import cache_folder, read_arrays, write_arrays
 from tactorch.mesh.checks import closed_surface
+from tactorch.mesh.decimate import decimated
 from tactorch.mesh.edge_length import Progress, fit_edge_length
 from tactorch.mesh.geometry import (
     bounding_box,
@@ -52,6 +55,7 @@ _FIVE = np.array([(0, 4, 2, 1), (6, 2, 4, 7), (5, 4, 1, 7), (3, 1, 2, 7), (1, 2,
 # Kuhn's subdivision: the paths along the axes from corner 0 to corner 7.
 _SIX = [(0, 4, 6, 7), (0, 4, 7, 5), (0, 2, 7, 6), (0, 2, 3, 7), (0, 1, 5, 7), (0, 1, 7, 3)]
 _EPSILON = 1e-3  # width of fTetWild's envelope over the bounding box's diagonal
+_PERIOD_S = 8.0  # between messages of a program that runs
 _WORKER = Path(__file__).with_name("_tetwild_worker.py")
 
 
@@ -180,8 +184,9 @@ def tetrahedralize(
 
     The median edge length is within about 20 % of the target, and the boundary nodes are on the
     surface. Where curvature, thin parts or small features need smaller elements, a warning tells
-    the median. With a fixed `epsilon` the target is an upper limit instead: the median may be less
-    than half of it.
+    the median. A surface whose triangles are far finer is made coarser before, within 0.05 edge
+    lengths, and a message says so. With a fixed `epsilon` the target is an upper limit instead: the
+    median may be less than half of it.
 
     fTetWild is not deterministic. Its first result is therefore cached under a hash of the inputs
     (see `tactorch.files.cache_folder`) and returned by later calls.
@@ -228,14 +233,16 @@ def tetrahedralize(
     if mesh is not None:
         return mesh
 
+    if tolerance is None:
+        all_points, all_faces = coarse = decimated(points, faces, length)
+        if len(coarse[1]) == len(faces):
+            require_no_crossing(points, faces)
+
     def mesher(target_mm: float, envelope_mm: float) -> TetMesh:
         relative, coarsen = envelope_mm / diagonal, tolerance is None
-        with progress_line(f"meshing with edges of {target_mm:.3g} mm"):
-            found = _run_tetwild(all_points, all_faces, target_mm, relative, coarsen)
-        return _validated(*found)
+        return _validated(*_run_tetwild(all_points, all_faces, target_mm, relative, coarsen))
 
     if tolerance is None:
-        require_no_crossing(points, faces)
         mesh = fit_edge_length(mesher, points, faces, length, progress)
     else:
         mesh = mesher(length, tolerance * diagonal)
@@ -291,22 +298,37 @@ def _run_tetwild(
             source, {**surface, "edge_length_mm": length, "epsilon": epsilon, "coarsen": coarsen}
         )
         # -P: keeps the worker's folder off the module search path.
-        process = subprocess.run(
-            [sys.executable, "-P", str(_WORKER), str(source), str(target)],
-            cwd=folder,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            check=False,
-        )
-        if process.returncode or not target.is_file():
-            output = process.stderr.strip() or process.stdout.strip() or "no message"
+        command = [sys.executable, "-P", str(_WORKER), str(source), str(target)]
+        with progress_line(f"meshing with edges of {length:.3g} mm") as update:
+            code, output = _run(command, folder, update)
+        if code or not target.is_file():
             raise MeshError(
                 f"fTetWild could not mesh the surface of {len(faces)} triangles"
-                f" (exit status {process.returncode}): {output.splitlines()[-1]}"
+                f" (exit status {code}): {output.splitlines()[-1]}"
             )
         with np.load(target) as result:
             return result["points"], result["tets"]
+
+
+def _run(command: list[str], folder: str, update: Callable[[str], None]) -> tuple[int, str]:
+    """Run a program, and say every few seconds that it runs; return its exit status and output."""
+    start = time.monotonic()
+    process = subprocess.Popen(
+        command, cwd=folder, stdout=PIPE, stderr=PIPE, text=True, errors="replace"
+    )
+    try:
+        while True:
+            try:
+                output, errors = process.communicate(timeout=_PERIOD_S)
+                break
+            except subprocess.TimeoutExpired:
+                seconds = time.monotonic() - start
+                logger.info("fTetWild: %.0f s ...", seconds)
+                update(f"{seconds:.0f} s")
+    except BaseException:
+        process.kill()
+        raise
+    return process.returncode, errors.strip() or output.strip() or "no message"
 
 
 def _validated(points: Points, tets: Tets) -> TetMesh:

@@ -1,9 +1,10 @@
-"""Reading of labelled volumes: NIfTI, segmentations in DICOM, and arrays of NumPy.
+"""Reading of labelled volumes: NIfTI, NRRD, MetaImage, segmentations in DICOM, arrays of NumPy.
 
 | file | labels | place of the voxels |
 |---|---|---|
 | .nii, .nii.gz | 3-D, whole numbers | sform, else qform, else the voxel sizes; axes right, anterior, superior |
 | DICOM segmentation | numbers of the segments | patient coordinates; axes left, posterior, superior |
+| .nrrd, .nhdr, .seg.nrrd, .mha, .mhd | 3-D, whole numbers; numbers of the segments | `space directions`, `TransformMatrix` and the spacing; axes left, posterior, superior |
 | .npz | array `labels` | `affine` (4, 4) in mm, or `spacing_mm` (3,) with `origin_mm` (3,) |
 | .npy | the array | the setting `spacing_mm`, the first voxel at 0 |
 """  # noqa: E501
@@ -20,6 +21,7 @@ from tactorch import budget
 from tactorch.errors import ConfigError, FileError, TactorchError
 from tactorch.files import as_array, read_arrays, require_file
 from tactorch.volumes.medical import LABEL_BYTES, read_nifti, read_segmentation
+from tactorch.volumes.nrrd import SUFFIXES, read_nrrd
 from tactorch.volumes.volume import LabelVolume
 
 _log = logging.getLogger(__name__)
@@ -51,10 +53,13 @@ def read_volume(
     source = require_file(path, "volume of labels")
     kind = _kind(source)
     names: dict[int, str] = {}
-    if spacing_mm is not None and kind in ("nifti", "dicom"):
+    if spacing_mm is not None and kind not in ("npz", "npy"):
         raise ConfigError(f"spacing_mm is given, but '{source}' states it; leave it out.")
     if kind == "nifti":
         values, affine, file_unit = read_nifti(source)
+        labels = as_labels(values, source)
+    elif kind == "nrrd":
+        values, affine, file_unit, names = read_nrrd(source)
         labels = as_labels(values, source)
     elif kind == "dicom":
         (values, affine, names), file_unit = read_segmentation(source), "mm"
@@ -74,12 +79,14 @@ def _kind(source: Path) -> str:
         return "nifti"
     if name.endswith((".npy", ".npz")):
         return name[-3:]
+    if source.suffix.lower() in SUFFIXES:
+        return "nrrd"
     with source.open("rb") as file:
         if file.read(132)[_DICOM_MAGIC] == b"DICM":
             return "dicom"
     raise FileError(
-        f"'{source}' is no volume of labels that can be read; give NIfTI (.nii, .nii.gz), a DICOM "
-        "segmentation, .npz or .npy."
+        f"'{source}' is no volume of labels that can be read; give NIfTI (.nii, .nii.gz), NRRD "
+        "(.nrrd), MetaImage (.mha, .mhd), a DICOM segmentation, .npz or .npy."
     )
 
 

@@ -1,0 +1,221 @@
+"""Reading of NRRD (.nrrd, .nhdr, .seg.nrrd of 3D Slicer) and MetaImage (.mha, .mhd).
+
+The libraries that read both end the process on some damaged files.
+"""
+
+import bz2
+import logging
+import re
+import zlib
+from collections.abc import Mapping
+from math import prod
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.budget import DEFLATE, check_memory, check_stored
+from tactorch.errors import FileError
+
+_log = logging.getLogger(__name__)
+SUFFIXES = (".nrrd", ".nhdr", ".mha", ".mhd")
+_HEADER_BYTES = 1 << 20
+_META_END = re.compile(rb"^[ \t]*ElementDataFile[ \t]*=[^\n]*\n?", re.MULTILINE | re.IGNORECASE)
+_NRRD_END = re.compile(rb"\r?\n[ \t]*\r?\n|\Z")
+_SIZES = {
+    "char": 1, "signedchar": 1, "uchar": 1, "unsignedchar": 1, "short": 2, "ushort": 2,
+    "unsignedshort": 2, "int": 4, "uint": 4, "unsignedint": 4, "longlong": 8, "ulonglong": 8,
+    "unsignedlonglong": 8, "long": 8, "ulong": 8, "float": 4, "double": 8,
+    **{f"{sign}int{bits}{end}": bits // 8
+       for sign in ("", "u") for bits in (8, 16, 32, 64) for end in ("", "_t")},
+}  # fmt: skip
+_PACKED = ("gzip", "gz", "bzip2", "bz2")
+_UNITS = {"mm": "mm", "millimeter": "mm", "cm": "cm", "m": "m", "um": "um", "micron": "um"}
+_OPPOSITE = {"right": 0, "anterior": 1, "inferior": 2}  # of left, posterior, superior
+_SHORT = {"r": "right", "a": "anterior", "i": "inferior"}
+
+Volume = tuple[np.ndarray, Float[np.ndarray, "4 4"], str, dict[int, str]]
+_Fields = Mapping[str, list[str]]
+
+
+def read_nrrd(source: Path) -> Volume:
+    """Read the array of a file, its affine matrix, their unit, and the names of segments.
+
+    The matrix leads to patient coordinates (left, posterior, superior), to which those of NRRD with
+    another `space` are converted.
+
+    Raises:
+        FileError: The file is damaged or too large, its data are in another folder, or its
+            segments overlap.
+    """
+    fields, start = _header(source)
+    try:
+        values = _data(source, fields, start)
+        affine, domain = _place(fields, values.ndim)
+    except (ValueError, IndexError, OSError, EOFError, zlib.error) as error:
+        raise FileError(
+            f"'{source}' cannot be read ({error}); copy it again from its source."
+        ) from error
+    layers = [axis for axis in range(values.ndim) if axis not in domain]
+    if values.ndim > 3 and len(domain) == 3:
+        values = values.transpose(*domain, *layers)
+    if not {"elementspacing", "elementsize", "spacings", "spacedirections"} & set(fields):
+        _log.warning("'%s' does not state the size of its voxels: 1 is taken.", source)
+    units = set(re.findall(r'"([^"]+)"', _first(fields, "spaceunits")))
+    unit = _UNITS.get(units.pop().lower(), "mm") if len(units) == 1 else "mm"
+    labels, names = _segments(source, values, fields)
+    return labels, affine, unit, names
+
+
+def _header(source: Path) -> tuple[_Fields, int]:
+    """Return the values of each field, by its name in small letters, and the end of the header."""
+    with source.open("rb") as file:
+        head = file.read(_HEADER_BYTES)
+    is_meta = source.suffix.lower() in (".mha", ".mhd")
+    end = (_META_END if is_meta else _NRRD_END).search(head)
+    if end is None or not (is_meta or head.startswith(b"NRRD")):
+        raise FileError(f"'{source}' has no header of {'MetaImage' if is_meta else 'NRRD'}.")
+    fields: dict[str, list[str]] = {}
+    for line in head[: end.end()].decode("utf-8", errors="replace").splitlines():
+        key, _, value = line.partition("=" if is_meta else ":")
+        name = key.replace(" ", "").lower()
+        fields.setdefault(name, []).append(value.removeprefix("=").strip())
+    return fields, end.end()
+
+
+def _first(fields: _Fields, *names: str) -> str:
+    return next((value for name in names for value in fields.get(name, ())), "")
+
+
+def _numbers(fields: _Fields, *names: str) -> list[float]:
+    return [float(word) for word in _first(fields, *names).split()]
+
+
+def _data(source: Path, fields: _Fields, start: int) -> np.ndarray:
+    """Read the array, after comparing its size with the file and the limits."""
+    path = _data_path(source, fields)
+    sizes = [int(word) for word in _first(fields, "sizes", "dimsize").split()]
+    channels = int(_first(fields, "elementnumberofchannels") or 1)
+    if not sizes or min(*sizes, channels) < 1:
+        raise ValueError(f"its sizes are {sizes}")
+    kind = _first(fields, "type", "elementtype").lower().replace(" ", "").removeprefix("met_")
+    if kind not in _SIZES:
+        raise ValueError(f"its type '{kind[:40]}' is not known")
+    code = "f" if kind in ("float", "double") else "u" if kind[0] == "u" else "i"
+    order = _first(fields, "endian", "elementbyteordermsb", "binarydatabyteordermsb").lower()
+    dtype = np.dtype(f"{'>' if order in ('big', 'true') else '<'}{code}{_SIZES[kind]}")
+    count = prod(sizes) * channels
+    claim = f"{' x '.join(map(str, sizes))} voxels of {dtype.itemsize} bytes"
+    check_memory(source, claim, count * (3 * dtype.itemsize + 8))  # and as labels
+    packed = _first(fields, "compresseddata").lower() == "true"
+    encoding = _first(fields, "encoding").lower() or ("gzip" if packed else "raw")
+    text = encoding in ("ascii", "text", "txt") or _first(fields, "binarydata").lower() == "false"
+    least = 1.0 if text else dtype.itemsize / (DEFLATE if encoding in _PACKED else 1)
+    if not encoding.startswith("bz"):
+        check_stored(path, claim, count * least)
+    size = count * dtype.itemsize
+    content = _content(path, fields, start if path == source else 0, size)
+    if text:
+        values = np.array(content.split()[:count], dtype=np.float64)
+    else:
+        values = np.frombuffer(_unpacked(content, encoding, size), dtype, count)
+    shape = ([channels] if channels > 1 else []) + sizes
+    return values.reshape(shape, order="F")
+
+
+def _data_path(source: Path, fields: _Fields) -> Path:
+    """Return the file of the data, which must be in the folder of the header."""
+    name = _first(fields, "datafile", "elementdatafile") or "LOCAL"
+    path = source if name.upper() == "LOCAL" else (source.parent / name).resolve()
+    if path != source and (source.parent.resolve() not in path.parents or not path.is_file()):
+        raise FileError(
+            f"'{source}' has its data in '{name}', which is no file in its folder; write header "
+            "and data as one file (.mha, .nrrd), or copy the data there."
+        )
+    return path
+
+
+def _content(path: Path, fields: _Fields, start: int, size: int) -> bytes:
+    """Read the data, without lines and bytes that the header says to skip."""
+    with path.open("rb") as file:
+        file.seek(start)
+        for _ in range(int(_first(fields, "lineskip") or 0)):
+            if not file.readline():
+                break
+        skipped = int(_first(fields, "byteskip", "headersize") or 0)
+        content = file.read()
+    return content[skipped:] if skipped >= 0 else content[-size:]
+
+
+def _unpacked(content: bytes, encoding: str, size: int) -> bytes:
+    """Return as many bytes as the array has."""
+    if encoding in ("gzip", "gz"):
+        return zlib.decompressobj(wbits=47).decompress(content, size)
+    if encoding in ("bzip2", "bz2"):
+        return bz2.BZ2Decompressor().decompress(content, size)
+    if encoding != "raw":
+        raise ValueError(f"its encoding '{encoding[:40]}' is not known")
+    return content
+
+
+def _place(fields: _Fields, axes: int) -> tuple[Float[np.ndarray, "4 4"], list[int]]:
+    """Return the affine matrix, and the axes of the array that are those of space."""
+    affine, domain = np.eye(4), list(range(axes))
+    vectors = re.findall(r"none|\([^)]*\)", _first(fields, "spacedirections"))
+    if vectors:
+        domain = [axis for axis, words in enumerate(vectors) if words != "none"]
+        columns = [_vector(vectors[axis]) for axis in domain]
+    else:
+        kinds = _first(fields, "kinds").split()
+        domain = [axis for axis in domain if axis >= len(kinds) or kinds[axis] != "list"]
+        if int(_first(fields, "elementnumberofchannels") or 1) > 1:
+            domain = domain[1:]
+        spacing = _numbers(fields, "elementspacing", "elementsize", "spacings") or [1.0] * axes
+        count = int(_first(fields, "ndims") or 0)
+        turn = _numbers(fields, "transformmatrix", "rotation", "orientation")
+        table = np.array(turn).reshape(count, count) if turn else np.eye(max(len(domain), 3))
+        steps = [spacing[axis] for axis in domain] if len(spacing) == axes else spacing
+        columns = [step * row for step, row in zip(steps, table, strict=False)]
+    for axis, column in enumerate(columns[:3]):
+        affine[:3, axis] = column[:3]
+    origin = _first(fields, "spaceorigin")
+    at = _vector(origin) if origin else _numbers(fields, "offset", "position", "origin")
+    affine[: len(at[:3]), 3] = at[:3]
+    affine[_signs(_first(fields, "space"))] *= -1.0
+    return affine, domain
+
+
+def _vector(text: str) -> Float[np.ndarray, " k"]:
+    return np.array([float(word) for word in text.strip("()").split(",")])
+
+
+def _signs(space: str) -> list[int]:
+    """Return the axes of a space that are opposite to left, posterior, superior."""
+    words = space.lower().split("-")
+    if len(words) == 1 and re.fullmatch("[lr][ap][si]t?", words[0]):
+        words = [_SHORT.get(letter, "") for letter in words[0]]
+    return [_OPPOSITE[word] for word in words if word in _OPPOSITE]
+
+
+def _segments(
+    source: Path, values: np.ndarray, fields: _Fields
+) -> tuple[np.ndarray, dict[int, str]]:
+    """Return labels, and the names of the segments of 3D Slicer.
+
+    Segments of several layers, which are the last axis, are numbered from 1.
+    """
+    count = sum(re.fullmatch(r"segment\d+_labelvalue", key) is not None for key in fields)
+    names = [_first(fields, f"segment{i}_name") or f"segment {i}" for i in range(count)]
+    numbers = [int(_first(fields, f"segment{i}_labelvalue") or i + 1) for i in range(count)]
+    if values.ndim != 4 or not count:
+        return values, dict(zip(numbers, names, strict=True))
+    labels = np.zeros(values.shape[:-1], dtype=np.int32)
+    for i, number in enumerate(numbers):
+        inside = values[..., int(_first(fields, f"segment{i}_layer") or 0)] == number
+        if (labels[inside] != 0).any():
+            raise FileError(
+                f"'{source}' has segments that overlap, such as '{names[i]}'; export segments that "
+                "do not."
+            )
+        labels[inside] = i + 1
+    return labels, dict(enumerate(names, start=1))

@@ -1,0 +1,185 @@
+"""NRRD and MetaImage against NIfTI of the same body, as 3D Slicer and ITK write them."""
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactorch.errors import ConfigError, FileError
+from tactorch.volumes import read_body, read_volume
+
+from .conftest import block
+from .test_read import nifti, oblique
+
+LPS = np.diag([-1.0, -1.0, 1.0, 1.0])  # from right, anterior, superior to left, posterior
+SEGMENTS = (
+    "Segment0_LabelValue:=1", "Segment0_Layer:=0", "Segment0_Name:=tissue",
+    "Segment1_LabelValue:=2", "Segment1_Layer:=0", "Segment1_Name:=hard, lump",
+    "Segmentation_MasterRepresentation:=Binary labelmap",
+)  # fmt: skip
+
+
+def labels() -> np.ndarray:
+    values = block().astype(np.uint8)
+    values[2, 1:-1, 1:-1] = 2  # no symmetry
+    return values
+
+
+def vector(values: np.ndarray) -> str:
+    return f"({','.join(f'{v:.17g}' for v in values)})"
+
+
+def nrrd(
+    path: Path,
+    values: np.ndarray,
+    affine: np.ndarray,
+    *lines: str,
+    space: str = "left-posterior-superior",
+    packed: bool = True,
+    data: str = "",
+) -> Path:
+    """Write a file; an axis before the last three is that of layers."""
+    layers = values.ndim - 3
+    directions = ["none"] * layers + [vector(v) for v in affine[:3, :3].T]
+    content = values.tobytes(order="F")
+    content = gzip.compress(content) if packed else content
+    header = [
+        "NRRD0005", "# Complete NRRD file format specification at:", "type: unsigned char",
+        f"dimension: {values.ndim}", f"space: {space}",
+        f"sizes: {' '.join(map(str, values.shape))}",
+        f"space directions: {' '.join(directions)}",
+        f"kinds: {' '.join(['list'] * layers + ['domain'] * 3)}",
+        f"encoding: {'gzip' if packed else 'raw'}", f"space origin: {vector(affine[:3, 3])}",
+        *([f"data file: {data}"] if data else []), *lines,
+    ]  # fmt: skip
+    path.write_bytes("\n".join([*header, "", ""]).encode() + (b"" if data else content))
+    if data:
+        (path.parent / data).write_bytes(content)
+    return path
+
+
+def meta(path: Path, values: np.ndarray, affine: np.ndarray, data: str = "LOCAL") -> Path:
+    spacing = np.linalg.norm(affine[:3, :3], axis=0)
+    words = {
+        "ObjectType": "Image", "NDims": "3", "BinaryData": "True", "CompressedData": "False",
+        "BinaryDataByteOrderMSB": "False",
+        "TransformMatrix": " ".join(f"{v:.17g}" for v in (affine[:3, :3] / spacing).T.ravel()),
+        "Offset": " ".join(f"{v:.17g}" for v in affine[:3, 3]),
+        "ElementSpacing": " ".join(f"{v:.17g}" for v in spacing),
+        "DimSize": " ".join(map(str, values.shape)), "ElementType": "MET_UCHAR",
+        "ElementDataFile": data,
+    }  # fmt: skip
+    text = "".join(f"{key} = {value}\n" for key, value in words.items())
+    content = values.tobytes(order="F")
+    path.write_bytes(text.encode() + (content if data == "LOCAL" else b""))
+    if data != "LOCAL":
+        (path.parent / data).write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize(
+    "name", ["v.nrrd", "v.seg.nrrd", "v.nhdr", "r.nrrd", "ras.nrrd", "las.nrrd", "v.mha", "v.mhd"]
+)
+def test_the_place_is_that_of_nifti(tmp_path: Path, name: str) -> None:
+    path, lps = tmp_path / name, LPS @ oblique()
+    if name.startswith("ras"):
+        nrrd(path, labels(), oblique(), space="right-anterior-superior")
+    elif name.startswith("las"):
+        nrrd(path, labels(), np.diag([-1.0, 1.0, 1.0, 1.0]) @ oblique(), space="LAS")
+    elif "nrrd" in name:
+        nrrd(path, labels(), lps, packed=name[0] == "v")
+    elif name.endswith(".nhdr"):
+        nrrd(path, labels(), lps, data="v.raw.gz")
+    else:
+        meta(path, labels(), lps, "v.raw" if name == "v.mhd" else "LOCAL")
+    expected = read_volume(nifti(tmp_path / "n.nii", labels(), oblique()))
+    volume = read_volume(path)
+    np.testing.assert_array_equal(volume.labels, expected.labels)
+    np.testing.assert_allclose(volume.affine, LPS @ expected.affine, atol=1e-5)
+    assert volume.unit == "mm"
+    assert read_body(path).volume_mm3 == pytest.approx(read_body(tmp_path / "n.nii").volume_mm3)
+    with pytest.raises(ConfigError, match=f"'.*{name}' states it; leave it out"):
+        read_volume(path, spacing_mm=(1.0, 1.0, 1.0))
+
+
+def test_segments_of_slicer_have_names(tmp_path: Path) -> None:
+    volume = read_volume(nrrd(tmp_path / "v.seg.nrrd", labels(), np.eye(4), *SEGMENTS))
+    assert volume.names == {1: "tissue", 2: "hard, lump"}
+    lines = [line.replace("Value:=2", "Value:=1") for line in SEGMENTS]
+    lines = [line.replace("1_Layer:=0", "1_Layer:=1") for line in lines]
+    layers = np.stack([labels() == 1, labels() == 2]).astype(np.uint8)
+    volume = read_volume(nrrd(tmp_path / "l.seg.nrrd", layers, LPS @ oblique(), *lines))
+    np.testing.assert_array_equal(volume.labels, labels())
+    np.testing.assert_allclose(volume.affine, LPS @ oblique(), atol=1e-6)
+    assert volume.names == {1: "tissue", 2: "hard, lump"}
+    layers[0] |= layers[1]
+    with pytest.raises(FileError, match="segments that overlap, such as 'hard, lump'"):
+        read_volume(nrrd(tmp_path / "o.seg.nrrd", layers, np.eye(4), *lines))
+
+
+@pytest.mark.parametrize("skip", ["byte skip: -1", "byte skip: 7", "line skip: 1"])
+def test_data_after_other_bytes(tmp_path: Path, skip: str) -> None:
+    path = nrrd(tmp_path / "v.nhdr", labels(), np.eye(4), skip, packed=False, data="v.raw")
+    (tmp_path / "v.raw").write_bytes(b"header\n" + (tmp_path / "v.raw").read_bytes())
+    np.testing.assert_array_equal(read_volume(path).labels, labels())
+
+
+def test_units_of_nrrd(tmp_path: Path) -> None:
+    path = nrrd(tmp_path / "v.nrrd", labels(), np.eye(4), 'space units: "cm" "cm" "cm"')
+    volume = read_volume(path)
+    assert volume.unit == "cm"
+    np.testing.assert_allclose(volume.voxel_mm, 10.0)
+
+
+@pytest.mark.parametrize(
+    "name", ["/etc/hostname", "../outside.raw", "absent.raw", "%03d.raw 1 9 1"]
+)
+def test_data_are_in_the_folder(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    nrrd(folder / "v.nhdr", labels(), np.eye(4), data="a.raw")
+    meta(folder / "v.mhd", labels(), np.eye(4), "a.raw")
+    (tmp_path / "outside.raw").write_bytes((folder / "a.raw").read_bytes())
+    for header in (folder / "v.nhdr", folder / "v.mhd"):
+        header.write_bytes(header.read_bytes().replace(b"a.raw", name.encode()))
+        with pytest.raises(FileError, match="is no file in its folder"):
+            read_volume(header)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "message"),
+    [
+        ("2000 2000 2000", "2000 x 2000 x 2000 voxels of 1 bytes would take 82 GiB"),
+        ("100 100 100", "is incomplete or its header is wrong: 100 x 100 x 100 voxels"),
+        ("1 2 x", "cannot be read .*'x'"),
+        ("-1 2 3", r"its sizes are \[-1, 2, 3\]"),
+    ],
+)
+def test_sizes_are_compared_with_the_file(tmp_path: Path, sizes: str, message: str) -> None:
+    raw, image = tmp_path / "v.nrrd", tmp_path / "v.mha"
+    nrrd(raw, labels(), np.eye(4), packed=False)
+    meta(image, labels(), np.eye(4))
+    for path in (raw, image):
+        path.write_bytes(path.read_bytes().replace(b"14 14 10", sizes.encode()))
+        with pytest.raises(FileError, match=message):
+            read_volume(path)
+
+
+@pytest.mark.parametrize("name", ["v.nrrd", "v.mha"])
+@pytest.mark.parametrize("damage", ["half", "text", "empty"])
+def test_damaged_files_are_named(tmp_path: Path, name: str, damage: str) -> None:
+    path = tmp_path / name
+    (nrrd if "nrrd" in name else meta)(path, labels(), np.eye(4))
+    content = path.read_bytes()
+    wrong = {"half": content[: -len(content) // 4], "text": b"hello\n" * 9, "empty": b""}[damage]
+    path.write_bytes(wrong)
+    with pytest.raises(FileError, match=rf"{name}'"):
+        read_volume(path)
+
+
+def test_missing_spacing_is_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = meta(tmp_path / "v.mha", labels(), np.eye(4))
+    path.write_bytes(path.read_bytes().replace(b"ElementSpacing = 1 1 1\n", b""))
+    np.testing.assert_allclose(read_volume(path).voxel_mm, 1.0)
+    assert "does not state the size of its voxels" in caplog.text
