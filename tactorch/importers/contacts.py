@@ -48,7 +48,9 @@ def find_contacts(samples: Samples, noise_n: float | None, source: str) -> tuple
     noise = noise_n or _noise(samples)
     samples = _without_outliers(samples, noise, source)
     own = _clear_by_probe(samples)
-    if np.bincount(samples.probe, own).max() >= MIN_CLEAR:
+    count = np.bincount(samples.probe, own)
+    known = count >= MIN_CLEAR
+    if known.mean() > 0.5 or count[known].sum() >= _MIN_COMMON:
         offsets = pool_offsets(samples, own, noise, source)
     else:
         offsets = _common_offset(samples, noise, source)
@@ -152,7 +154,11 @@ def _noise(samples: Samples) -> float:
     force, probe = samples.force_n[order], samples.probe[order]
     second = force[2:] - 2.0 * force[1:-1] + force[:-2]
     same = probe[2:] == probe[:-2]
-    return float(max(np.median(np.abs(second[same])) / (0.6745 * np.sqrt(6.0)), 1e-6))
+    second = second[same]
+    noise = np.median(np.abs(second)) / 0.6745 if len(second) else 0.0
+    # The median of forces in coarse steps is zero.
+    noise = noise or np.sqrt(np.mean(second**2)) if len(second) else 0.0
+    return max(float(noise) / np.sqrt(6.0), 1e-6)
 
 
 def _first_depths(samples: Samples, noise: float) -> Float[np.ndarray, " probes"]:
@@ -261,10 +267,11 @@ def _distances(
 
 def _rising(samples: Samples, rises: Bool[np.ndarray, " probes"], source: str) -> Samples:
     """Leave out probes whose force does not rise with the depth."""
-    name_probes(source, samples.names[~rises], "a force that does not rise, as without contact,")
+    name_probes(source, samples.names[~rises], "a force that does not rise, as without contact")
     if not rises.any():
         raise FileError(
-            f"'{source}': no probe's force rises with depth; give the force on the ball in N, along"
-            " the outward normal, or format.reverse_force=true for that on the object."
+            f"'{source}': no probe's force rises with depth: the ball does not touch, or the force "
+            "is not that on the ball, along the outward normal; if it is that on the object, give "
+            "format.reverse_force=true."
         )
     return samples.keep(rises[samples.probe], "of probes that cannot be used")

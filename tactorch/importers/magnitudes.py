@@ -24,8 +24,7 @@ def check_rows(source: str, rows: Rows, remedy: Remedy) -> None:
     Raises:
         FileError: A magnitude suggests another unit; names it, and the remedy.
     """
-    good = np.isfinite(np.column_stack([rows.centres_mm, rows.forces_n])).all(axis=1)
-    centres, forces = rows.centres_mm[good], rows.forces_n[good]
+    centres, forces = rows.centres_mm, rows.forces_n
     span = float(np.linalg.norm(np.ptp(centres, axis=0))) if len(centres) else 0.0
     largest = float(np.linalg.norm(forces, axis=1).max(initial=0.0))
     for what, value, unit, (low, high), small, large in (

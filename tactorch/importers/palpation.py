@@ -88,7 +88,12 @@ class PalpationSettings(Options):
     def record(self, rows: Rows, path: str | Path) -> Recording:
         """Return the recording of the rows of a file: contacts, object and presses."""
         total, turn = len(rows.labels), self._turn()
-        rows = rows.turned(turn, -1.0 if self.reverse_force else 1.0)
+        rows = rows.finite().turned(turn, -1.0 if self.reverse_force else 1.0)
+        if len(rows.labels) < total:
+            _log.warning(
+                "'%s': %d rows without a number in every column are left out.",
+                path, total - len(rows.labels),
+            )  # fmt: skip
 
         def remedy(what: str, unit: str) -> str:
             return self._state_unit(what, unit, rows)
@@ -104,7 +109,8 @@ class PalpationSettings(Options):
         lost = hysteresis(samples)
         samples = samples.reduced(self.depths, -contacts.depth_mm)
         used = int(samples.count.sum())
-        left = {reason: count for reason, count in samples.left_out.items() if count}
+        left = {"without a number": total - len(rows.labels), **samples.left_out}
+        left = {reason: count for reason, count in left.items() if count}
         _log.info(
             "'%s': %d of %d rows are used, of %d probes. Left out: %s.", path, used, total,
             len(samples.names), ", ".join(f"{n} {reason}" for reason, n in left.items()) or "none",
@@ -115,7 +121,7 @@ class PalpationSettings(Options):
                 "used; lifting gives back %.0f %% less work (hysteresis).", path, 100.0 * lost,
             )  # fmt: skip
         mesh, fixed, above_mm = self._body(samples, contacts)
-        mesh = TetMesh.create(mesh.points @ turn, mesh.tets, mesh.regions)
+        mesh = TetMesh(mesh.points @ turn, mesh.tets, mesh.regions)
         provenance = {
             "importer": "palpation", "file": Path(path).name, "ball_radius_mm": samples.radius_mm,
             "probes": len(samples.names), "noise_n": contacts.noise_n,
@@ -174,7 +180,7 @@ class PalpationSettings(Options):
         """Return the object, its supports, and the heights of the contacts below its surface."""
         if self.mesh is not None:
             mesh = read_mesh(self.mesh, unit="mm")
-            mesh = TetMesh.create(mesh.points @ self._turn().T, mesh.tets, mesh.regions)
+            mesh = TetMesh(mesh.points @ self._turn().T, mesh.tets, mesh.regions)
             low, high = mesh.bounds
             held = mesh.points[:, 2] < low[2] + 1e-3 * (high - low)[2]
             return mesh, np.repeat(held[:, None], 3, axis=1), np.zeros(len(contacts.points_mm))

@@ -31,6 +31,7 @@ _STILL = 0.01  # motion that is none, over the ball's radius
 _APART = 0.5  # distance of places along the surface, over the ball's radius
 _UNIT = 0.2  # of the length of a unit normal, which rounding and averaging change
 _MIN_UP = 0.05  # component of a normal along z, the axis of the height of the surface
+_PRESSED = 5.0  # largest change of the force in contact, over its median
 NAMED = 8  # probes that a message names
 
 
@@ -54,6 +55,12 @@ class Rows(NamedTuple):
             if name != "lines"
         }
         return Rows(**arrays, lines=lines)
+
+    def finite(self) -> "Rows":
+        """Return the rows that have numbers of force and position, and a probe."""
+        values = np.column_stack([self.centres_mm, self.forces_n])
+        good = np.isfinite(values).all(axis=1) & (self.labels != "")
+        return self.take(np.flatnonzero(good))
 
     def turned(self, turn: Float[np.ndarray, "3 3"], sign: float) -> "Rows":
         """Return the rows in turned axes, with a sign of the forces."""
@@ -88,7 +95,15 @@ class Samples:
     def keep(self, kept: Bool[np.ndarray, " s"], reason: str) -> "Samples":
         """Return some of the samples, and the probes that have any."""
         probes, inverse = np.unique(self.probe[kept], return_inverse=True)
-        of_probes = ("names", "normals", "origins_mm", "time", "lost_nmm", "lost_from_mm", "lost_to_mm")
+        of_probes = (
+            "names",
+            "normals",
+            "origins_mm",
+            "time",
+            "lost_nmm",
+            "lost_from_mm",
+            "lost_to_mm",
+        )
         of_samples = ("advance_mm", "force_n", "count")
         left = self.left_out.get(reason, 0) + int((~kept).sum())
         return replace(
@@ -201,17 +216,9 @@ def make_samples(path: Path, rows: Rows, radius_mm: float | None) -> Samples:
         rows: Rows in axes whose z points out of the object.
         radius_mm: Radius of the ball; None for the distance of its centre from the contacts.
     """
-    total, left_out = len(rows.labels), {}
-    numbers = np.isfinite(np.column_stack([rows.centres_mm, rows.forces_n])).all(axis=1)
-    rows = rows.take(np.flatnonzero(numbers & (rows.labels != "")))
-    if len(rows.labels) < total:
-        left_out["no number"] = total - len(rows.labels)
-        _log.warning(
-            "'%s': %d rows without a number in every column are left out.",
-            path, total - len(rows.labels),
-        )  # fmt: skip
     radius = radius_mm or _radius(path, rows)
     names, probe = _probes(path, rows, _APART * radius)
+    left_out: dict[str, int] = {}
     left_out["apart from the others of their probe"] = int((probe < 0).sum())
     order = np.arange(len(probe)) if rows.time is None else np.argsort(rows.time, kind="stable")
     order = order[np.argsort(probe[order], kind="stable")]
@@ -279,15 +286,17 @@ class _Strokes:
 
     def _check_axis(self, path: Path) -> None:
         """Refuse rows whose forces rise in another direction than downwards."""
-        pushes = []
+        pushes = [np.zeros(3)]
         for part in self.parts:
             centres, forces = self.rows.centres_mm[part], self.rows.forces_n[part]
-            at = centres[np.linalg.norm(forces - np.median(forces, axis=0), axis=1).argmax()]
-            apart = at - centres
-            pushes.append(apart[np.linalg.norm(apart, axis=1).argmax()])
-        outward = -np.median(pushes, axis=0)
-        if outward[2] < _MIN_UP * np.linalg.norm(outward):
-            raise _wrong_axis(path, outward / max(float(np.linalg.norm(outward)), 1e-300))
+            change = np.linalg.norm(forces - np.median(forces, axis=0), axis=1)
+            apart = centres[change.argmax()] - centres
+            if change.max() > _PRESSED * np.median(change):
+                pushes.append(apart[np.linalg.norm(apart, axis=1).argmax()])
+        outward = -np.median(pushes[1:] or pushes, axis=0)
+        length = float(np.linalg.norm(outward))
+        if outward[2] < _MIN_UP * length:
+            raise _wrong_axis(path, outward / length)
 
     def samples(self, path: Path, left_out: dict[str, int]) -> Samples:
         """Return the samples of probes that can be used."""
@@ -379,5 +388,5 @@ def name_probes(path: str | Path, names: np.ndarray, reason: str) -> None:
     if len(names):
         shown = ", ".join(f"'{name}'" for name in names[:NAMED])
         more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-        count = f"{len(names)} probe{'s' if len(names) > 1 else ''}"
-        _log.warning("'%s': %s with %s left out: %s%s.", path, count, reason, shown, more)
+        count = f"{len(names)} probes are" if len(names) > 1 else "1 probe is"
+        _log.warning("'%s': %s left out, with %s: %s%s.", path, count, reason, shown, more)
