@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from tactorch.errors import FileError
 from tactorch.fem.contact.pressures import ball_force
-from tactorch.importers.offsets import MIN_CLEAR, Offsets, pool_offsets
+from tactorch.importers.offsets import MIN_CLEAR, Offsets, pool_offsets, without_drift
 from tactorch.importers.samples import MIN_SAMPLES, MIN_TRAVEL, NAMED, Samples, name_probes
 
 _log = logging.getLogger(__name__)
@@ -46,11 +46,13 @@ def find_contacts(samples: Samples, noise_n: float | None, source: str) -> tuple
     The noise of a force is estimated where it is None; `source` is the name of the file.
     """
     noise = noise_n or _noise(samples)
+    _check_sign(samples, noise, source)
     samples = _without_outliers(samples, noise, source)
     own = _clear_by_probe(samples)
     count = np.bincount(samples.probe, own)
     known = count >= MIN_CLEAR
     if known.mean() > 0.5 or count[known].sum() >= _MIN_COMMON:
+        samples = without_drift(samples, own, noise, source)
         offsets = pool_offsets(samples, own, noise, source)
     else:
         offsets = _common_offset(samples, noise, source)
@@ -265,13 +267,25 @@ def _distances(
     return distances
 
 
+def _check_sign(samples: Samples, noise: float, source: str) -> None:
+    """Refuse forces that fall while the balls are pressed in."""
+    order = np.lexsort((samples.advance_mm, samples.probe))
+    _, first = np.unique(samples.probe[order], return_index=True)
+    last = np.append(first[1:], len(order)) - 1
+    rise = float(np.median(samples.force_n[order[last]] - samples.force_n[order[first]]))
+    if rise < -_CONTACT_NOISE * noise:
+        raise FileError(
+            f"'{source}': no probe's force rises with depth, it changes by {rise:.3g} N. If it is "
+            "that on the object, not on the ball, give format.reverse_force=true."
+        )
+
+
 def _rising(samples: Samples, rises: Bool[np.ndarray, " probes"], source: str) -> Samples:
     """Leave out probes whose force does not rise with the depth."""
     name_probes(source, samples.names[~rises], "a force that does not rise, as without contact")
     if not rises.any():
         raise FileError(
-            f"'{source}': no probe's force rises with depth: the ball does not touch, or the force "
-            "is not that on the ball, along the outward normal; if it is that on the object, give "
-            "format.reverse_force=true."
+            f"'{source}': no probe's force rises with depth: the balls do not touch, or the forces "
+            "are not those on the ball, along the outward normal."
         )
     return samples.keep(rises[samples.probe], "of probes that cannot be used")

@@ -1,6 +1,7 @@
 """Offset of the force sensor for each probe of a palpation, from samples clear of the surface."""
 
 import logging
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.stats import chi2
 from tactorch.importers.samples import NAMED, Samples
 
 _log = logging.getLogger(__name__)
-MIN_CLEAR = 5  # samples of a probe, clear of the surface, that tell its offset
+MIN_CLEAR = 3  # samples of a probe, clear of the surface, that tell its offset
 _LEVEL = 1e-3  # probability of so different offsets by noise alone, from which they differ
 _DRIFT = 5.0  # standard deviations of a drift in time
 _OF_DRIFT = 0.5  # of the variance of the offsets, that a drift explains
@@ -26,6 +27,33 @@ class Offsets(NamedTuple):
     def of(self, probes: Bool[np.ndarray, " probes"]) -> "Offsets":
         """Return those of some probes."""
         return Offsets(self.force_n[probes], self.deviation_n[probes], self.clear)
+
+
+def without_drift(
+    samples: Samples, clear: Bool[np.ndarray, " s"], noise_n: float, source: str
+) -> Samples:
+    """Return the samples without a drift of the force that is the same during each probe.
+
+    Arguments are those of `pool_offsets`. The drift is linear in time, and zero at the mean time of
+    the clear samples of a probe.
+    """
+    count = np.maximum(np.bincount(samples.probe, clear), 1)
+    time, force = (
+        values - (np.bincount(samples.probe, values * clear) / count)[samples.probe]
+        for values in (samples.time, samples.force_n)
+    )
+    square = float((time**2) @ clear)
+    rate = float((time * force) @ clear) / max(square, 1e-300)
+    known = (np.bincount(samples.probe, clear) >= MIN_CLEAR)[samples.probe]
+    change = np.where(known, rate * time, 0.0)
+    if abs(rate) * np.sqrt(square) < _DRIFT * noise_n:
+        return samples
+    if np.ptp(change) > noise_n:
+        _log.warning(
+            "'%s': the force in air drifts by up to %.2g N during a probe, which is subtracted.",
+            source, np.ptp(change),
+        )  # fmt: skip
+    return replace(samples, force_n=samples.force_n - change)
 
 
 def pool_offsets(
@@ -47,7 +75,8 @@ def pool_offsets(
     known = count >= MIN_CLEAR
     means = np.bincount(samples.probe, samples.force_n * clear) / np.maximum(count, 1)
     variance = noise_n**2 / np.maximum(count, 1)
-    time = (samples.time - samples.time.min()) / max(float(np.ptp(samples.time)), 1e-300)
+    time = np.bincount(samples.probe, samples.time) / np.bincount(samples.probe)
+    time = (time - time.min()) / max(float(np.ptp(time)), 1e-300)
     flat, line = np.ones((len(count), 1)), np.column_stack([np.ones(len(count)), time])
     basis, trend, spread, errors = flat, *_fit(flat, means, variance, known)
     if spread > 0.0 and known.sum() > 4:
@@ -66,7 +95,7 @@ def pool_offsets(
     if not known.all():
         named = ", ".join(f"'{name}'" for name in samples.names[~known][:NAMED])
         _log.warning(
-            "'%s': the offset of %d probes that begin in contact is unknown, and taken from the "
+            "'%s': the offset of %d probes without enough samples in air is taken from the "
             "others, with a standard deviation of %.2g N: %s.",
             source, (~known).sum(), np.sqrt(spread), named,
         )  # fmt: skip

@@ -27,6 +27,7 @@ _SECONDS, _NANOSECONDS = re.compile(r"(.*_)?secs?"), re.compile(r"(.*_)?n(ano)?s
 MIN_SAMPLES = 4  # of a probe
 #: Travel of a probe, over the ball's radius, below which it did not move.
 MIN_TRAVEL = 0.05
+_MAX_BACK = 0.01  # of the rows, before which a clock began anew
 _STILL = 0.01  # motion that is none, over the ball's radius
 _APART = 0.5  # distance of places along the surface, over the ball's radius
 _UNIT = 0.2  # of the length of a unit normal, which rounding and averaging change
@@ -81,7 +82,6 @@ class Samples:
     names: np.ndarray  # of the probes in the file, text
     normals: Float[np.ndarray, "probes 3"]  # outward unit normals
     origins_mm: Float[np.ndarray, "probes 3"]  # on their axes, where the samples begin
-    time: Float[np.ndarray, " probes"]  # of each probe, in any unit
     lost_nmm: Float[np.ndarray, " probes"]  # work that is not given back; NaN where not lifted
     lost_from_mm: Float[np.ndarray, " probes"]  # advances between which that is known
     lost_to_mm: Float[np.ndarray, " probes"]
@@ -89,22 +89,15 @@ class Samples:
     probe: Int[np.ndarray, " s"]  # index of the probe
     advance_mm: Float[np.ndarray, " s"]  # motion along minus the normal from the origin
     force_n: Float[np.ndarray, " s"]  # on the ball along the normal
+    time: Float[np.ndarray, " s"]  # in any unit
     count: Float[np.ndarray, " s"]  # number of samples that were averaged
     left_out: Mapping[str, int] = field(default_factory=dict)  # number of rows, by the reason
 
     def keep(self, kept: Bool[np.ndarray, " s"], reason: str) -> "Samples":
         """Return some of the samples, and the probes that have any."""
         probes, inverse = np.unique(self.probe[kept], return_inverse=True)
-        of_probes = (
-            "names",
-            "normals",
-            "origins_mm",
-            "time",
-            "lost_nmm",
-            "lost_from_mm",
-            "lost_to_mm",
-        )
-        of_samples = ("advance_mm", "force_n", "count")
+        of_probes = ["names", "normals", "origins_mm", "lost_nmm", "lost_from_mm", "lost_to_mm"]
+        of_samples = ("advance_mm", "force_n", "time", "count")
         left = self.left_out.get(reason, 0) + int((~kept).sum())
         return replace(
             self, probe=inverse, left_out={**self.left_out, reason: left},
@@ -138,7 +131,7 @@ class Samples:
         probe = keys // depths
         return replace(
             samples, probe=probe, force_n=mean(samples.force_n), count=count * 1.0,
-            advance_mm=begin_mm[probe] + mean(depth**1.5) ** (2.0 / 3.0),
+            advance_mm=begin_mm[probe] + mean(depth**1.5) ** (2.0 / 3.0), time=mean(samples.time),
         )  # fmt: skip
 
 
@@ -205,7 +198,11 @@ def _time(sheet: Sheet) -> Float[np.ndarray, " s"] | None:
             return None
     except FileError:  # such as a date
         return None
-    return times if np.isfinite(times).all() else None
+    if not np.isfinite(times).all():
+        return None
+    back = -np.minimum(np.diff(times, prepend=times[:1]), 0.0)
+    # A clock that began anew, unless the rows are in no order.
+    return times + np.cumsum(back) if (back > 0.0).mean() < _MAX_BACK else times
 
 
 def make_samples(path: Path, rows: Rows, radius_mm: float | None) -> Samples:
@@ -274,13 +271,16 @@ class _Strokes:
             for part, outward in zip(self.parts, known, strict=True)
         ]
         self.pressed = [p[s.pressed] for p, s in zip(self.parts, self.strokes, strict=True)]
-        ends = np.array([(rows_of[0], rows_of[-1]) for rows_of in self.pressed])
-        self.origins = rows.centres_mm[ends[:, 0]]
-        motion = rows.centres_mm[ends[:, 1]] - self.origins
-        self.travel = np.linalg.norm(motion, axis=1)
+        centres = [rows.centres_mm[pressed] for pressed in self.pressed]
+        self.origins, last = (np.array([c[i] for c in centres]) for i in (0, -1))
+        self.travel = np.linalg.norm(last - self.origins, axis=1)
         if rows.normals is None:
-            normals = -motion / np.maximum(self.travel, 1e-300)[:, None]
-            lengths = np.ones(len(names))
+            # Of the second half of the motion: the first may lead to the place.
+            normals = np.array([c[np.argmax(_lower_half(c))] - c[-1] for c in centres])
+            lengths = np.linalg.norm(normals, axis=1)
+            normals = normals / np.maximum(lengths, 1e-300)[:, None]
+            heights = ((self.origins - last) * normals).sum(axis=1)
+            self.origins, lengths = last + heights[:, None] * normals, np.ones(len(names))
         self.unit = np.abs(lengths - 1.0) < _UNIT
         self.normals = normals / np.maximum(lengths, 1e-300)[:, None]
 
@@ -302,12 +302,9 @@ class _Strokes:
         """Return the samples of probes that can be used."""
         usable = self._usable(path)
         lifted = [stroke.lifted for stroke in self.strokes]
-        again = [
-            len(part) - len(stroke.pressed) - len(stroke.lifted) - stroke.moved
-            for part, stroke in zip(self.parts, self.strokes, strict=True)
-        ]
-        left_out["before the approach"] = sum(stroke.moved for stroke in self.strokes)
-        left_out["lifted or pressed again"] = sum(map(len, lifted)) + sum(again)
+        moved, pressed = sum(stroke.moved for stroke in self.strokes), sum(map(len, self.pressed))
+        left_out["before the approach"] = moved
+        left_out["lifted or pressed again"] = len(self.rows.labels) - moved - pressed
         branches = [
             (self._branch(k, self.pressed[k]), self._branch(k, self.parts[k][lifted[k]]))
             for k in range(len(self.names))
@@ -318,9 +315,8 @@ class _Strokes:
         probe = np.repeat(np.arange(len(self.names)), [len(p) for p in self.pressed])
         samples = Samples(
             self.names, self.normals, self.origins,
-            np.array([float(np.mean(times[part])) for part in self.pressed]),
-            *lost.T, self.radius, probe, advance, force, np.ones(len(force)),
-            left_out,
+            *lost.T, self.radius, probe, advance, force, times[np.concatenate(self.pressed)],
+            np.ones(len(force)), left_out,
         )  # fmt: skip
         return samples.keep(usable[probe], "of probes that cannot be used")
 
@@ -355,6 +351,12 @@ class _Strokes:
                 path, (usable & unordered).sum(),
             )  # fmt: skip
         return usable
+
+
+def _lower_half(centres: Float[np.ndarray, "p 3"]) -> Bool[np.ndarray, " p"]:
+    """Return which rows are nearer to the last than half of the way."""
+    apart = np.linalg.norm(centres - centres[-1], axis=1)
+    return apart <= 0.5 * apart[0]
 
 
 def _wrong_axis(path: Path, outward: Float[np.ndarray, "3"]) -> FileError:

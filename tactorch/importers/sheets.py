@@ -32,7 +32,10 @@ class Sheet:
 
     def numbers(self, name: str, *, finite: bool = True) -> Float[np.ndarray, " rows"]:
         """Return a column of numbers, NaN where a cell is empty."""
-        values = np.array([self._number(name, i) for i in range(len(self.lines))])
+        try:
+            values = np.array(self.columns[name]).astype(np.float64)
+        except ValueError:  # an empty cell, a decimal comma, or no number
+            values = np.array([self._number(name, i) for i in range(len(self.lines))])
         if finite and np.isinf(values).any():
             self._refuse(name, int(np.isinf(values).argmax()))
         return values

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 _GRID = 0.25  # to which places are rounded, over the distance at which they are apart
 _ASIDE = 0.2  # motion aside over motion along, up to which rows are of the approach
+_JITTER, _MAX_STILL = 5.0, 20.0  # motion that is none, over the noise of positions, at most
 _TURNS, _MIN_TURNS = 0.3, 4  # reversals of unordered rows, over their moves, and their number
 
 
@@ -17,7 +18,7 @@ class Stroke(NamedTuple):
     """Rows of a probe."""
 
     pressed: Int[np.ndarray, " p"]  # the approach, and the contact until the ball is deepest
-    lifted: Int[np.ndarray, " l"]  # after the deepest
+    lifted: Int[np.ndarray, " l"]  # after the deepest, until the ball is highest
     moved: int  # number of rows before the approach
     ordered: bool  # whether rows are in an order of time
 
@@ -56,18 +57,23 @@ def find_stroke(
     Args:
         centres: Places of the ball, in the order of the rows, mm.
         outward: Direction out of the object.
-        still_mm: Motion that is none.
+        still_mm: Motion that is none; more where positions have noise.
         timed: Whether the order is that of time. Otherwise rows that go to and fro, or begin with
             the deepest, are taken by their depth.
     """
     depth = -(centres @ outward)
-    top = int(np.argmax(depth >= depth.max() - still_mm))
+    second = np.abs(np.diff(depth, n=2))
+    noise = float(np.median(second)) / (0.6745 * np.sqrt(6.0)) if len(second) else 0.0
+    top = int(np.argmax(depth >= depth.max() - max(still_mm, noise)))
+    still_mm *= min(max(_JITTER * noise / still_mm, 1.0), _MAX_STILL)
     if not timed and (top == 0 or _to_and_fro(depth, still_mm)):
         return Stroke(np.argsort(depth, kind="stable"), np.arange(0), 0, ordered=False)
     begin = _begin(centres[: top + 1], depth[: top + 1], still_mm)
     down = depth[begin : top + 1]
     new = down >= np.maximum.accumulate(down) - still_mm
-    return Stroke(begin + np.flatnonzero(new), np.arange(top + 1, len(depth)), begin, ordered=True)
+    bottom = top + int(np.argmax(depth[top:] <= depth[top:].min() + still_mm))
+    lifted = np.arange(top + 1, bottom + 1)
+    return Stroke(begin + np.flatnonzero(new), lifted, begin, ordered=True)
 
 
 def _to_and_fro(depth: Float[np.ndarray, " n"], still_mm: float) -> bool:
