@@ -94,7 +94,7 @@ def pool_offsets(
         )  # fmt: skip
     if not known.all():
         named = ", ".join(f"'{name}'" for name in samples.names[~known][:NAMED])
-        _log.warning(
+        (_log.warning if spread > 0.0 else _log.info)(
             "'%s': the offset of %d probes without enough samples in air is taken from the "
             "others, with a standard deviation of %.2g N: %s.",
             source, (~known).sum(), np.sqrt(spread), named,

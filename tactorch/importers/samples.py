@@ -311,7 +311,9 @@ class _Strokes:
         ]
         lost = np.array([lost_work(*pair, MIN_TRAVEL * self.radius) for pair in branches])
         advance, force = (np.concatenate([pair[0][i] for pair in branches]) for i in (0, 1))
-        times = np.arange(len(self.rows.labels)) if self.rows.time is None else self.rows.time
+        times = self.rows.time
+        if times is None:
+            times = np.arange(float(len(self.rows.labels)))
         probe = np.repeat(np.arange(len(self.names)), [len(p) for p in self.pressed])
         samples = Samples(
             self.names, self.normals, self.origins,
