@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -50,7 +50,7 @@ class Rows(NamedTuple):
     def take(self, index: Int[np.ndarray, " k"]) -> "Rows":
         """Return some rows."""
         lines = [self.lines[i] for i in index]
-        arrays = {
+        arrays: dict[str, Any] = {
             name: None if value is None else value[index]
             for name, value in self._asdict().items()
             if name != "lines"
@@ -229,7 +229,9 @@ def _probes(path: Path, rows: Rows, apart_mm: float) -> tuple[np.ndarray, Int[np
 
     Rows of a label at several places are several probes.
     """
-    probe, names, split = np.full(len(rows.labels), -1), [], []
+    names: list[str] = []
+    split: list[tuple[str, int, int]] = []
+    probe = np.full(len(rows.labels), -1)
     for label in dict.fromkeys(rows.labels.tolist()):
         of_label = np.flatnonzero(rows.labels == label)
         places = find_places(rows.centres_mm[of_label, :2], apart_mm, MIN_SAMPLES)
@@ -237,7 +239,8 @@ def _probes(path: Path, rows: Rows, apart_mm: float) -> tuple[np.ndarray, Int[np
             probe[of_label[places == place]] = len(names)
             names.append(f"{label} ({place + 1})" if place else label)
         if places.max() > 0:
-            split.append([label, *(int(of_label[np.argmax(places == k)]) for k in (0, 1))])
+            first, second = (int(of_label[np.argmax(places == k)]) for k in (0, 1))
+            split.append((label, first, second))
     if split:
         label, first, second = split[0]
         at = [", ".join(f"{x:.4g}" for x in rows.centres_mm[i, :2]) for i in (first, second)]
@@ -309,16 +312,17 @@ class _Strokes:
             (self._branch(k, self.pressed[k]), self._branch(k, self.parts[k][lifted[k]]))
             for k in range(len(self.names))
         ]
-        lost = np.array([lost_work(*pair, MIN_TRAVEL * self.radius) for pair in branches])
+        least = MIN_TRAVEL * self.radius
+        lost, low, high = np.array([lost_work(*pair, least) for pair in branches]).T
         advance, force = (np.concatenate([pair[0][i] for pair in branches]) for i in (0, 1))
         times = self.rows.time
         if times is None:
             times = np.arange(float(len(self.rows.labels)))
         probe = np.repeat(np.arange(len(self.names)), [len(p) for p in self.pressed])
+        times = times[np.concatenate(self.pressed)]
         samples = Samples(
-            self.names, self.normals, self.origins,
-            *lost.T, self.radius, probe, advance, force, times[np.concatenate(self.pressed)],
-            np.ones(len(force)), left_out,
+            self.names, self.normals, self.origins, lost, low, high, self.radius, probe,
+            advance, force, times, np.ones(len(force)), left_out,
         )  # fmt: skip
         return samples.keep(usable[probe], "of probes that cannot be used")
 

@@ -216,5 +216,6 @@ class TransformTree:
                 "%s is in messages of a static topic (tf_static) and in %d of a moving one (tf), "
                 "which are used.", what, len(moving),
             )  # fmt: skip
-        times, poses = map(np.array, zip(*(moving if moves else static), strict=True))
-        return Track(times, poses, what, self.max_gap_s, not moves)
+        used = moving if moves else static
+        times, matrices = (np.array([message[i] for message in used]) for i in (0, 1))
+        return Track(times, matrices, what, self.max_gap_s, not moves)

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -110,7 +111,7 @@ def test_motion_to_the_next_place_is_no_approach(tmp_path: Path) -> None:
     rows = palpation(FULL, lifted=0.6)
     parts = np.split(rows, 16)
     moves = []
-    for one, other in zip(parts[:-1], parts[1:], strict=True):
+    for one, other in pairwise(parts):
         move = np.repeat(one[-1:], 40, axis=0)
         move[:, 1:4] = np.linspace(one[-1, 1:4], other[0, 1:4], 40)
         move[20:, 0] += 1
@@ -202,8 +203,8 @@ def test_units_are_refused_by_what_they_imply(tmp_path: Path, unit: str) -> None
     with pytest.raises(TactorchError, match=f"in {unit}; give .format.units={{{stated}}}"):
         read(path)
     check(read(path, units=dict.fromkeys(quantities, unit)))
-    names = [f"{name.split('_')[0]}_{unit}" if name[0] in quantities[0][0] else name
-             for name in NAMES]  # fmt: skip
+    suffixed = {f"{name}_mm" if name in "xyz" else f"{name}_n" for name in quantities}
+    names = [f"{name.split('_')[0]}_{unit}" if name in suffixed else name for name in NAMES]
     check(read(write(path, rows, names)))
 
 
@@ -414,9 +415,7 @@ def test_a_stroke_is_ever_deeper_and_ends_at_the_deepest(
     turns: list[float], deepest: float
 ) -> None:
     corners = [-6.0, *turns, deepest, -6.0]
-    depth = np.concatenate(
-        [np.linspace(a, b, 30, endpoint=False) for a, b in zip(corners, corners[1:], strict=False)]
-    )
+    depth = np.concatenate([np.linspace(a, b, 30, endpoint=False) for a, b in pairwise(corners)])
     centres = np.column_stack([0.0 * depth, 0.0 * depth, -depth])
     stroke = find_stroke(centres, np.array([0.0, 0.0, 1.0]), 0.03, True)
     pressed = depth[stroke.pressed]

@@ -445,3 +445,23 @@ def test_poses_are_of_one_kind(tmp_path: Path) -> None:
     with pytest.raises(TactorchError, match=r"pose_topic is needed.*several"):
         import_ros2(write_bag(tmp_path / "bag", topics), **BLOCK)
     check(import_ros2(tmp_path / "bag", pose_topic="/tool_pose", **BLOCK))
+
+
+def test_a_moving_frame_may_be_published_as_static_too(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    message = TFMessage()
+    moves = [(t, message([transform(t, "base", "tool", p, TOOL)])) for t, p in ROBOT.poses()]
+    same = [
+        (t, message([transform(t, "tool", "ft", (0.0, 0.0, 0.0), Rotation.identity())]))
+        for t, _ in ROBOT.poses()[:5]
+    ]
+    static = [(0.0, moves[0][1]), (0.0, same[0][1])]
+    topics = {"/tf": (TF, moves + same), "/tf_static": (TF, static)}
+    topics["/wrench"] = (WRENCH, ROBOT.wrenches())
+    with caplog.at_level(logging.WARNING):
+        check(
+            import_ros2(write_bag(tmp_path / "b", topics), frame="base", tool_frame="tool", **BLOCK)
+        )
+    assert "transform of 'tool' is in messages of a static topic" in caplog.text
+    assert "transform of 'ft'" not in caplog.text

@@ -130,7 +130,7 @@ class _Search:
         response = self._response(self._present)
         others = list(self._with_levels(self._present, response))
         of_errors = max(others, key=lambda proposal: proposal.promise)
-        trials = []
+        trials: list[tuple[Start, float]] = []
         # Errors are linear, and an inclusion is not: its linearised gain and that of a few steps
         # are less. One without larger errors is tried in any case.
         for proposals in self._proposals(others, response, max_shapes):
