@@ -52,10 +52,12 @@ def read(make: Callable[..., Path]) -> Read:
 
 
 def deepest(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Depths below z = 0 and forces of the last presses."""
+    """Depths below z = 0 and forces of the last presses, by their places."""
     last = [press for press in recording.presses if press.step == 3]
-    depths = [RADIUS - press.probe.position_mm[2] for press in last if press.probe]
-    return np.array(depths), np.array([press.force.values[0] for press in last if press.force])
+    places = np.array([press.probe.position_mm for press in last if press.probe])
+    forces = np.array([press.force.values[0] for press in last if press.force])
+    order = np.lexsort(np.round(places[:, :2]).T)
+    return RADIUS - places[order, 2], forces[order]
 
 
 @pytest.mark.parametrize(
@@ -100,7 +102,7 @@ def test_what_was_not_expected_is_said(
 
 
 def test_millinewtons_are_refused_and_can_be_stated(read: Read) -> None:
-    with pytest.raises(TactorchError, match="in mN; give .format.units={fx: mN, fy: mN, fz: mN}"):
+    with pytest.raises(TactorchError, match=r"in mN; give .format.units={fx: mN, fy: mN, fz: mN}"):
         read("millinewton")
     recording = read("millinewton", units=dict.fromkeys(("fx", "fy", "fz"), "mN"))
     assert deepest(recording)[1] == pytest.approx(deepest(read("control_uniform"))[1], abs=1e-4)
