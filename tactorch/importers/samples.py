@@ -27,7 +27,7 @@ _SECONDS, _NANOSECONDS = re.compile(r"(.*_)?secs?"), re.compile(r"(.*_)?n(ano)?s
 MIN_SAMPLES = 4  # of a probe
 #: Travel of a probe, over the ball's radius, below which it did not move.
 MIN_TRAVEL = 0.05
-_MAX_BACK = 0.01  # of the rows, before which a clock began anew
+_MAX_BACK = 0.01  # of the rows, before which a clock began again
 _STILL = 0.01  # motion that is none, over the ball's radius
 _APART = 0.5  # distance of places along the surface, over the ball's radius
 _UNIT = 0.2  # of the length of a unit normal, which rounding and averaging change
@@ -201,7 +201,7 @@ def _time(sheet: Sheet) -> Float[np.ndarray, " s"] | None:
     if not np.isfinite(times).all():
         return None
     back = -np.minimum(np.diff(times, prepend=times[:1]), 0.0)
-    # A clock that began anew, unless the rows are in no order.
+    # A clock that began again, unless the rows are in no order.
     return times + np.cumsum(back) if (back > 0.0).mean() < _MAX_BACK else times
 
 
@@ -247,7 +247,7 @@ def _probes(path: Path, rows: Rows, apart_mm: float) -> tuple[np.ndarray, Int[np
         _log.warning(
             "'%s': rows of %d probes are at more than one place, such as those of probe %s: %s at "
             "(%s) mm, %s at (%s) mm. Each place is taken as a probe ('%s', '%s (2)'); give each "
-            "place a number of its own if that is wrong.", path, len(split), label,
+            "place a separate number if that is wrong.", path, len(split), label,
             rows.lines[first], at[0], rows.lines[second], at[1], label, label,
         )  # fmt: skip
     return np.array(names, dtype=object), probe

@@ -233,7 +233,7 @@ def test_a_radius_of_contacts_that_are_far_from_the_first_samples_is_refused(
 
 
 @pytest.mark.parametrize("label", ["{}", "A{}", "grid_{:02d}"])
-def test_numbers_that_begin_anew_are_other_probes(
+def test_numbers_that_begin_again_are_other_probes(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, label: str
 ) -> None:
     rows = palpation()
@@ -319,7 +319,7 @@ def test_rows_may_be_in_any_order(
     assert "in no order of time" in caplog.text
 
 
-def test_a_clock_that_begins_anew_does_not_mix_sessions(tmp_path: Path) -> None:
+def test_a_clock_that_begins_again_does_not_mix_sessions(tmp_path: Path) -> None:
     first = palpation(offset=lambda k, time: 0.05)
     rows = np.concatenate([first, palpation(offset=lambda k, time: -0.05, seed=3)])
     recording = read(write(tmp_path / "p.csv", rows, TIMED))
