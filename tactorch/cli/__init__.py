@@ -58,7 +58,7 @@ COMMANDS = (
 def main(arguments: list[str] | None = None) -> None:
     """Run `tactorch VERB [settings]`; ends the process with a status other than 0 on errors."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if arguments is None and words:
+    if arguments is None and words and not {"-h", "--help"} & set(words):
         Thread(target=_say_starting, args=words[:1], daemon=True).start()
     try:
         app = _dispatch(words)

@@ -4,20 +4,23 @@ The force of a probe is that on a ball in a half-space, whose modulus and surfac
 """
 
 import logging
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from tactorch.errors import FileError
 from tactorch.fem.contact.pressures import ball_force
+from tactorch.importers.offsets import MIN_CLEAR, Offsets, pool_offsets, without_drift
 from tactorch.importers.samples import MIN_SAMPLES, MIN_TRAVEL, NAMED, Samples, name_probes
 
 _log = logging.getLogger(__name__)
-_MIN_CLEAR = 20  # samples clear of the surface that tell the offset of the force sensor
-_STEPS = 60  # of the search for the first contact, within the ball's radius
+_MIN_COMMON = 20  # samples clear of the surface that tell a common offset of the force sensor
+_RISES = 5.0  # standard deviations of the force by which it rises with the depth
+_STEP, _MAX_STEPS, _FINE = 0.01, 400, 21  # of the search for contacts, over the ball's radius
 _COMMON = 0.3  # deviation of the depth of the first sample among probes, over the ball's radius
 # Median force of first samples, in standard deviations, from which they are in contact; deviation
 # of this force among probes, over the force.
@@ -32,9 +35,9 @@ class Contacts(NamedTuple):
 
     points_mm: Float[np.ndarray, "probes 3"]
     depth_mm: Float[np.ndarray, " probes"]  # of the ball at its origin
+    plane_mpa: Float[np.ndarray, " probes"]  # modulus E / (1 - nu^2) of a half-space
     noise_n: float  # standard deviation of the noise of a sample
-    tare_n: float  # offset of the force sensor, which the forces no longer have
-    clear: int  # number of samples that are clear of the surface
+    offsets: Offsets  # of the force sensor, which the forces no longer have
 
 
 def find_contacts(samples: Samples, noise_n: float | None, source: str) -> tuple[Samples, Contacts]:
@@ -43,18 +46,41 @@ def find_contacts(samples: Samples, noise_n: float | None, source: str) -> tuple
     The noise of a force is estimated where it is None; `source` is the name of the file.
     """
     noise = noise_n or _noise(samples)
+    _check_sign(samples, noise, source)
     samples = _without_outliers(samples, noise, source)
-    tare, clear = _offset(samples, noise)
-    if clear < _MIN_CLEAR:
-        _log.warning(
-            "'%s' has %d samples that are clear of the surface, of %d that are needed: the offset "
-            "of the force sensor is taken as zero.", source, clear, _MIN_CLEAR,
-        )  # fmt: skip
-        tare = 0.0
-    samples = replace(samples, force_n=samples.force_n - tare)
-    samples, depths = _rising(samples, _first_depths(samples, noise), noise, source)
+    own = _clear_by_probe(samples)
+    count = np.bincount(samples.probe, own)
+    known = count >= MIN_CLEAR
+    if known.mean() > 0.5 or count[known].sum() >= _MIN_COMMON:
+        samples = without_drift(samples, own, noise, source)
+        offsets = pool_offsets(samples, own, noise, source)
+    else:
+        offsets = _common_offset(samples, noise, source)
+    samples = replace(samples, force_n=samples.force_n - offsets.force_n[samples.probe])
+    depths = _first_depths(samples, noise)
+    mixed, squares, _ = _sums(samples, depths)
+    rises = mixed > _RISES * noise * np.sqrt(squares)
+    samples = _rising(samples, rises, source)
+    depths, plane = depths[rises], mixed[rises] / squares[rises]
     contacts = samples.origins_mm - (samples.radius_mm - depths)[:, None] * samples.normals
-    return samples, Contacts(contacts, depths, noise, tare, clear)
+    return samples, Contacts(contacts, depths, plane, noise, offsets.of(rises))
+
+
+def hysteresis(samples: Samples) -> float | None:
+    """Return the share of the work of pressing that lifting does not give back.
+
+    It is the median of the probes; None where balls are not lifted in contact.
+    """
+    shares = []
+    for k in np.flatnonzero(np.isfinite(samples.lost_nmm)):
+        rows = np.flatnonzero(samples.probe == k)
+        rows = rows[np.argsort(samples.advance_mm[rows])]
+        grid = np.linspace(samples.lost_from_mm[k], samples.lost_to_mm[k], 100)
+        force = np.interp(grid, samples.advance_mm[rows], samples.force_n[rows])
+        work = float(np.trapezoid(force, grid))
+        if work > 0.0:
+            shares.append(samples.lost_nmm[k] / work)
+    return float(np.median(shares)) if shares else None
 
 
 def unevenness(points: Float[np.ndarray, "probes 3"]) -> Float[np.ndarray, " probes"]:
@@ -75,8 +101,33 @@ def unevenness(points: Float[np.ndarray, "probes 3"]) -> Float[np.ndarray, " pro
     return deviations
 
 
-def _offset(samples: Samples, noise: float) -> tuple[float, int]:
-    """Return the median force of samples clear of the surface (N), and their number.
+def _clear_by_probe(samples: Samples) -> Bool[np.ndarray, " s"]:
+    """Return which samples are clear of the surface, by the forces of their probe alone.
+
+    The force of a probe is an offset and that of a ball in a half-space. A depth of the first
+    sample is taken that fits best, with the offset and the modulus of each depth.
+    """
+    count = np.bincount(samples.probe)
+    sum_force = np.bincount(samples.probe, samples.force_n)
+
+    def costs(depths: Float[np.ndarray, " probes"]) -> Float[np.ndarray, " probes"]:
+        mixed, squares, total = _sums(samples, depths)
+        unit = ball_force(samples.advance_mm + depths[samples.probe], samples.radius_mm)
+        sum_unit = np.bincount(samples.probe, unit)
+        mixed = np.maximum(mixed - sum_unit * sum_force / count, 0.0)
+        squares = np.maximum(squares - sum_unit**2 / count, 1e-300)
+        explained: np.ndarray = mixed**2 / squares
+        return total - sum_force**2 / count - explained
+
+    travel = np.zeros(len(count))
+    np.maximum.at(travel, samples.probe, samples.advance_mm)
+    shares = np.linspace(-1.0, 0.0, _MAX_STEPS // 4)
+    depths = _least(costs, travel * shares[:, None])
+    return samples.advance_mm + depths[samples.probe] < -MIN_TRAVEL * samples.radius_mm
+
+
+def _common_offset(samples: Samples, noise: float, source: str) -> Offsets:
+    """Return the median force of samples clear of the surface, or zero where they are few.
 
     With the force of first samples as the offset, those are clear that are clear.
     """
@@ -84,7 +135,15 @@ def _offset(samples: Samples, noise: float) -> tuple[float, int]:
     depths = _first_depths(trial, noise)
     # By more than the uncertainty of the place of the surface.
     free = samples.advance_mm + depths[samples.probe] < -MIN_TRAVEL * samples.radius_mm
-    return (float(np.median(samples.force_n[free])) if free.any() else 0.0), int(free.sum())
+    clear, ones = int(free.sum()), np.ones(len(samples.names))
+    if clear < _MIN_COMMON:
+        _log.warning(
+            "'%s' has %d samples that are clear of the surface, of %d that are needed: the offset "
+            "of the force sensor is taken as zero.", source, clear, _MIN_COMMON,
+        )  # fmt: skip
+        return Offsets(0.0 * ones, 0.0 * ones, clear)
+    offset = float(np.median(samples.force_n[free]))
+    return Offsets(offset * ones, noise / np.sqrt(clear) * ones, clear)
 
 
 def _noise(samples: Samples) -> float:
@@ -97,7 +156,11 @@ def _noise(samples: Samples) -> float:
     force, probe = samples.force_n[order], samples.probe[order]
     second = force[2:] - 2.0 * force[1:-1] + force[:-2]
     same = probe[2:] == probe[:-2]
-    return float(max(np.median(np.abs(second[same])) / (0.6745 * np.sqrt(6.0)), 1e-6))
+    second = second[same]
+    noise = np.median(np.abs(second)) / 0.6745 if len(second) else 0.0
+    # The median of forces in coarse steps is zero.
+    noise = noise or np.sqrt(np.mean(second**2)) if len(second) else 0.0
+    return max(float(noise) / np.sqrt(6.0), 1e-6)
 
 
 def _first_depths(samples: Samples, noise: float) -> Float[np.ndarray, " probes"]:
@@ -107,23 +170,33 @@ def _first_depths(samples: Samples, noise: float) -> Float[np.ndarray, " probes"
     more probable than others. A robot that begins at its first contact does so at about the same
     force everywhere, by which stiff places are less deep.
     """
-    radius, count = samples.radius_mm, len(samples.numbers)
-    travel = np.zeros(count)
-    np.maximum.at(travel, samples.probe, samples.advance_mm)
-    grid = np.linspace(-float(np.median(travel)), 0.5 * radius, 2 * _STEPS)
-    sums = np.array([_sums(samples, np.full(count, depth)) for depth in grid])
-    mixed, squares, total = sums.swapaxes(0, 1)
-    moduli = np.maximum(mixed, 0.0) / np.maximum(squares, 1e-300)  # that fit the forces best
-    costs = (total - moduli**2 * squares) / noise**2
+    radius, count = samples.radius_mm, len(samples.names)
+    travel = float(samples.advance_mm.max(initial=0.0))
+    steps = int(np.clip(np.ceil((travel + 0.5 * radius) / (_STEP * radius)), 2, _MAX_STEPS))
+    grid = np.linspace(-travel, 0.5 * radius, steps)
     first = float(np.median(_first_forces(samples)))
-    if first > _CONTACT_NOISE * noise / np.sqrt(count):
-        begins = moduli * ball_force(grid, radius)[:, None]
-        prior = ((begins - first) / (_THRESHOLD * first)) ** 2
-    else:
-        common = grid[np.argmin(np.median(costs, axis=1))]
-        prior = (((grid - common) / (_COMMON * radius)) ** 2)[:, None]
-    depths: np.ndarray = grid[np.argmin(costs + prior, axis=0)]
-    return depths
+    pressed = first > _CONTACT_NOISE * noise / np.sqrt(count)
+
+    def misfits(
+        depths: Float[np.ndarray, " probes"],
+    ) -> tuple[Float[np.ndarray, " probes"], Float[np.ndarray, " probes"]]:
+        mixed, squares, total = _sums(samples, depths)
+        moduli = np.maximum(mixed, 0.0) / np.maximum(squares, 1e-300)  # that fit the forces best
+        return moduli, (total - moduli**2 * squares) / noise**2
+
+    every = np.array([misfits(np.full(count, depth))[1] for depth in grid])
+    common = grid[np.argmin(np.median(every, axis=1))]
+
+    def costs(depths: Float[np.ndarray, " probes"]) -> Float[np.ndarray, " probes"]:
+        moduli, misfit = misfits(depths)
+        begins = moduli * ball_force(depths, radius)
+        force = ((begins - first) / (_THRESHOLD * first)) ** 2 if pressed else 0.0
+        place = 0.0 if pressed else ((depths - common) / (_COMMON * radius)) ** 2
+        return misfit + force + place
+
+    depths = _least(costs, np.repeat(grid[:, None], count, axis=1))
+    near = (grid[1] - grid[0]) * np.linspace(-1.0, 1.0, _FINE)
+    return _least(costs, depths + near[:, None])
 
 
 def _first_forces(samples: Samples) -> Float[np.ndarray, " probes"]:
@@ -131,6 +204,16 @@ def _first_forces(samples: Samples) -> Float[np.ndarray, " probes"]:
     order = np.lexsort((samples.advance_mm, samples.probe))
     _, first = np.unique(samples.probe[order], return_index=True)
     return samples.force_n[order[first]]
+
+
+def _least(
+    costs: Callable[[Float[np.ndarray, " probes"]], Float[np.ndarray, " probes"]],
+    grid: Float[np.ndarray, "steps probes"],
+) -> Float[np.ndarray, " probes"]:
+    """Return the value of a grid with the least cost for each probe."""
+    best = np.argmin([costs(values) for values in grid], axis=0)
+    least: np.ndarray = np.take_along_axis(grid, best[None], axis=0)[0]
+    return least
 
 
 def _sums(samples: Samples, depths: Float[np.ndarray, " probes"]) -> Float[np.ndarray, "3 probes"]:
@@ -141,13 +224,13 @@ def _sums(samples: Samples, depths: Float[np.ndarray, " probes"]) -> Float[np.nd
     force = samples.force_n
     unit = ball_force(samples.advance_mm + depths[samples.probe], samples.radius_mm)
     products = (unit * force, unit * unit, force * force)
-    return np.array([np.bincount(samples.probe, p, len(samples.numbers)) for p in products])
+    return np.array([np.bincount(samples.probe, p, len(samples.names)) for p in products])
 
 
 def _without_outliers(samples: Samples, noise: float, source: str) -> Samples:
     """Leave out samples that are far from a parabola through the others of their probe."""
     far = np.zeros(len(samples.probe), dtype=bool)
-    for k in range(len(samples.numbers)):
+    for k in range(len(samples.names)):
         rows = np.flatnonzero(samples.probe == k)
         for _ in range(_MAX_OUTLIERS):
             if len(rows) <= MIN_SAMPLES:
@@ -159,12 +242,12 @@ def _without_outliers(samples: Samples, noise: float, source: str) -> Samples:
             far[rows[worst]] = True
             rows = np.delete(rows, worst)
     if far.any():
-        named = np.unique(samples.numbers[samples.probe[far]])
+        named = np.unique(samples.names[samples.probe[far]].astype(str))
         _log.warning(
             "'%s': %d samples far from the others of their probe are left out, of probes %s.",
             source, far.sum(), ", ".join(map(str, named[:NAMED])),
         )  # fmt: skip
-    return samples.keep(~far)
+    return samples.keep(~far, "far from the others of their probe")
 
 
 def _distances(
@@ -175,25 +258,34 @@ def _distances(
     Distances from a least-squares fit to the others follow from that to all (by the leverages).
     """
     powers = np.vander((advance - advance.mean()) / max(np.ptp(advance), 1e-12), 3)
-    hat = powers @ np.linalg.pinv(powers)
-    residual = force - hat @ force
-    left = np.maximum(1.0 - np.diag(hat), 1e-6)
+    inverse = np.linalg.pinv(powers)
+    residual = force - powers @ (inverse @ force)
+    left = np.maximum(1.0 - (powers * inverse.T).sum(axis=1), 1e-6)
     others = residual @ residual - residual**2 / left  # sum of squares without each
     spread = np.sqrt(np.maximum(others, 0.0) / max(len(force) - 4, 1))
     distances: np.ndarray = np.abs(residual) / left / np.maximum(spread, noise)
     return distances
 
 
-def _rising(
-    samples: Samples, depths: Float[np.ndarray, " probes"], noise: float, source: str
-) -> tuple[Samples, Float[np.ndarray, " probes"]]:
-    """Leave out probes whose force does not rise with the depth."""
-    mixed, squares, _ = _sums(samples, depths)
-    flat = ~(mixed > 3.0 * noise * np.sqrt(squares))
-    name_probes(source, samples.numbers[flat], "a force that does not rise")
-    if flat.all():
+def _check_sign(samples: Samples, noise: float, source: str) -> None:
+    """Refuse forces that fall while the balls are pressed in."""
+    order = np.lexsort((samples.advance_mm, samples.probe))
+    _, first = np.unique(samples.probe[order], return_index=True)
+    last = np.append(first[1:], len(order)) - 1
+    rise = float(np.median(samples.force_n[order[last]] - samples.force_n[order[first]]))
+    if rise < -_CONTACT_NOISE * noise:
         raise FileError(
-            f"'{source}': no probe's force rises with depth; give the force on the ball in N, along"
-            " the outward normal."
+            f"'{source}': no probe's force rises with depth, it changes by {rise:.3g} N. If it is "
+            "that on the object, not on the ball, give format.reverse_force=true."
         )
-    return samples.keep(~flat[samples.probe]), depths[~flat]
+
+
+def _rising(samples: Samples, rises: Bool[np.ndarray, " probes"], source: str) -> Samples:
+    """Leave out probes whose force does not rise with the depth."""
+    name_probes(source, samples.names[~rises], "a force that does not rise, as without contact")
+    if not rises.any():
+        raise FileError(
+            f"'{source}': no probe's force rises with depth: the balls do not touch, or the forces "
+            "are not those on the ball, along the outward normal."
+        )
+    return samples.keep(rises[samples.probe], "of probes that cannot be used")

@@ -5,35 +5,45 @@ surface. Columns (others are ignored):
 
 | column | what | unit |
 |---|---|---|
-| probe | number of the probe | |
-| x_mm, y_mm, z_mm | centre of the ball | mm |
-| fx_n, fy_n, fz_n | force on the ball, in the same axes | N |
+| probe | number or name of the probe | |
+| x_mm, y_mm, z_mm | centre of the ball | mm, or that of the suffix |
+| fx_n, fy_n, fz_n | force on the ball, in the same axes | N, or that of the suffix |
 | contact_x_mm, contact_y_mm, contact_z_mm | first contact found by the robot, optional | mm |
 | normal_x, normal_y, normal_z | outward normal there, optional | |
+| time_s, or sec and nanosec | time, optional: else rows are in its order | any |
 
-Without the normal it is opposite to the motion. The contact is found from the forces: the depth of
-the first sample and the stiffness of a probe fit the force on a ball in a half-space. Samples that
-are clear of the surface give the offset of the force sensor; without any it is taken as zero, which
-shifts all depths by about as much. The object is a block below the surface through the contacts;
-its depth is not known to the robot and has to be stated.
+Without the normal it is opposite to the motion. Rows of a ball that is lifted, or pressed in again,
+are left out (`tactorch.importers.strokes`). The contact is found from the forces: the depth of the
+first sample and the stiffness of a probe fit the force on a ball in a half-space. Samples that are
+clear of the surface give the offset of the force sensor for each probe
+(`tactorch.importers.offsets`); without any it is taken as zero, which shifts all depths by about as
+much. The object is a block below the surface through the contacts; its depth is not known to the
+robot and has to be stated.
 """
 
-from collections.abc import Iterator
+import logging
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.config import Options, option
+from tactorch.errors import FileError, MeshError
 from tactorch.fem.contact import Ball
-from tactorch.importers.contacts import Contacts, find_contacts, unevenness
-from tactorch.importers.samples import Samples, read_samples
+from tactorch.importers.contacts import Contacts, find_contacts, hysteresis, unevenness
+from tactorch.importers.magnitudes import check_contacts, check_rows
+from tactorch.importers.samples import Rows, Samples, make_samples, read_rows
 from tactorch.mesh import TetMesh, read_mesh
 from tactorch.mesh.block import HeightField, block_below
 from tactorch.mesh.geometry import frozen
 from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Recording
+
+_log = logging.getLogger(__name__)
+_MIN_LOST = 0.05  # share of the work that is not given back, from which a message states it
+_OTHER_CONTACT = 0.5  # distance of contacts from those of the file, over the ball's radius
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +67,7 @@ class PalpationSettings(Options):
     )
     poisson: float = option(0.45, "Poisson's ratio of the object", gt=0, lt=0.5)
     depths: int | None = option(
-        4, "Presses of each probe: successive samples are averaged; null: all samples", ge=1
+        4, "Presses of each probe: means over equal steps of depth; null: all samples", ge=1
     )
     noise_n: float | None = option(
         None, "Noise of a force; null: estimated from the samples", unit="N", gt=0
@@ -69,24 +79,100 @@ class PalpationSettings(Options):
         unit="mm",
         ge=0,
     )
+    up: Literal["x+", "x-", "y+", "y-", "z+", "z-"] = option(
+        "z+", "Axis of the file, and its direction, that points out of the object"
+    )
+    reverse_force: bool = option(False, "The forces are those on the object, not on the ball")
     check_units: bool = option(True, "Refuse magnitudes that suggest a wrong unit")
 
-    def record(self, samples: Samples, path: str | Path) -> Recording:
-        """Return the recording of the samples of a file: contacts, object and presses."""
+    def record(self, rows: Rows, path: str | Path) -> Recording:
+        """Return the recording of the rows of a file: contacts, object and presses."""
+        total, turn = len(rows.labels), self._turn()
+        rows = rows.finite().turned(turn, -1.0 if self.reverse_force else 1.0)
+        if len(rows.labels) < total:
+            _log.warning(
+                "'%s': %d rows without a number in every column are left out.",
+                path, total - len(rows.labels),
+            )  # fmt: skip
+
+        def remedy(what: str, unit: str) -> str:
+            return self._state_unit(what, unit, rows)
+
+        if self.check_units:
+            check_rows(str(path), rows, remedy)
+        samples = make_samples(Path(path), rows, self.radius_mm)
         samples, contacts = find_contacts(samples, self.noise_n, str(path))
-        samples = samples.reduced(self.depths)
+        deepest = self._check(samples, contacts, rows, str(path))
+        if self.check_units:
+            modulus = float(np.median(contacts.plane_mpa)) * (1.0 - self.poisson**2)
+            check_contacts(str(path), float(np.median(deepest)), samples.radius_mm, modulus, remedy)
+        lost = hysteresis(samples)
+        samples = samples.reduced(self.depths, -contacts.depth_mm)
+        used = int(samples.count.sum())
+        left = {"without a number": total - len(rows.labels), **samples.left_out}
+        left = {reason: count for reason, count in left.items() if count}
+        _log.info(
+            "'%s': %d of %d rows are used, of %d probes. Left out: %s.", path, used, total,
+            len(samples.names), ", ".join(f"{n} {reason}" for reason, n in left.items()) or "none",
+        )  # fmt: skip
+        if lost is not None:
+            (_log.warning if lost > _MIN_LOST else _log.info)(
+                "'%s': balls are lifted in the rows, too. The rows while they are pressed in are "
+                "used; lifting gives back %.0f %% less work (hysteresis).", path, 100.0 * lost,
+            )  # fmt: skip
         mesh, fixed, above_mm = self._body(samples, contacts)
+        mesh = TetMesh(mesh.points @ turn, mesh.tets, mesh.regions)
         provenance = {
             "importer": "palpation", "file": Path(path).name, "ball_radius_mm": samples.radius_mm,
-            "probes": len(samples.numbers), "noise_n": contacts.noise_n, "tare_n": contacts.tare_n,
-            "samples_clear_of_the_surface": contacts.clear, "depth_mm": self.depth_mm,
-            "block": self.mesh is None,
+            "probes": len(samples.names), "noise_n": contacts.noise_n,
+            "tare_n": float(np.median(contacts.offsets.force_n)),
+            "tare_deviation_n": float(np.std(contacts.offsets.force_n)),
+            "samples_clear_of_the_surface": contacts.offsets.clear, "depth_mm": self.depth_mm,
+            "block": self.mesh is None, "rows": total, "rows_used": used, "rows_left_out": left,
+            "hysteresis": lost,
         }  # fmt: skip
         return Recording(
-            mesh, tuple(self._presses(samples, contacts, frozen(fixed), above_mm)),
+            mesh, tuple(self._presses(samples, contacts, frozen(fixed), above_mm, turn)),
             MaterialSpec("linear", self.poisson), provenance=provenance,
             check_units=self.check_units,
         )  # fmt: skip
+
+    def _state_unit(self, what: str, unit: str, rows: Rows) -> str:
+        """Return how a unit of "force" or "position" is stated, for messages."""
+        return f"convert the messages, whose unit of {what} is m or N"
+
+    def _turn(self) -> Float[np.ndarray, "3 3"]:
+        """Return the rotation of the axes of the file to those whose z points out."""
+        axis = "xyz".index(self.up[0])
+        turn = np.roll(np.eye(3), axis - 2, axis=1)
+        return turn if self.up[1] == "+" else np.diag([1.0, -1.0, -1.0]) @ turn
+
+    def _check(
+        self, samples: Samples, contacts: Contacts, rows: Rows, source: str
+    ) -> Float[np.ndarray, " probes"]:
+        """Return the largest depth of each probe; refuse those that object and ball contradict."""
+        deepest = np.zeros(len(samples.names))
+        np.maximum.at(deepest, samples.probe, samples.advance_mm)
+        deepest += contacts.depth_mm
+        heights = contacts.points_mm[:, 2]
+        below = deepest - (heights - heights.min() + self.depth_mm)
+        if self.mesh is None and below.max() >= 0.0:
+            raise FileError(
+                f"'{source}': probe '{samples.names[below.argmax()]}' is pressed in by "
+                f"{deepest[below.argmax()]:.3g} mm, more than the object is deep; give the depth of"
+                f" its bottom in mm (format.depth_mm={self.depth_mm:g})."
+            )
+        if self.radius_mm is None and rows.contacts_mm is not None:
+            labels = {label: i for i, label in enumerate(rows.labels.tolist())}
+            known = [labels.get(name, labels[name.split(" (")[0]]) for name in samples.names]
+            apart = (contacts.points_mm - rows.contacts_mm[known]) * samples.normals
+            if abs(float(np.nanmedian(apart.sum(axis=1)))) > _OTHER_CONTACT * samples.radius_mm:
+                raise FileError(
+                    f"'{source}': contacts by the forces are {np.nanmedian(apart.sum(axis=1)):.2g} "
+                    "mm from those of the file, which tell no radius of the ball where it begins "
+                    "in air; give format.radius_mm."
+                )
+        return deepest
 
     def _body(
         self, samples: Samples, contacts: Contacts
@@ -94,10 +180,20 @@ class PalpationSettings(Options):
         """Return the object, its supports, and the heights of the contacts below its surface."""
         if self.mesh is not None:
             mesh = read_mesh(self.mesh, unit="mm")
+            mesh = TetMesh(mesh.points @ self._turn().T, mesh.tets, mesh.regions)
             low, high = mesh.bounds
             held = mesh.points[:, 2] < low[2] + 1e-3 * (high - low)[2]
             return mesh, np.repeat(held[:, None], 3, axis=1), np.zeros(len(contacts.points_mm))
-        height = HeightField(contacts.points_mm)
+        try:
+            height = HeightField(contacts.points_mm)
+        except MeshError as error:
+            raise MeshError(f"{error} Or give the object as format.mesh.") from error
+        if height.is_plane:
+            _log.warning(
+                "The surface of the object is taken as a plane through its %d contacts, with a "
+                "deviation of %.2g mm; give the object as format.mesh if it is another.",
+                len(contacts.points_mm), height.error_mm,
+            )  # fmt: skip
         block = block_below(
             height, depth_mm=self.depth_mm, margin_mm=self.margin_mm, edge_mm=self.edge_mm
         )
@@ -112,18 +208,21 @@ class PalpationSettings(Options):
         contacts: Contacts,
         fixed: Bool[np.ndarray, "n 3"],
         above_mm: Float[np.ndarray, " probes"],
+        turn: Float[np.ndarray, "3 3"],
     ) -> Iterator[Press]:
         """Yield the presses; poses are moved along the normal so that contacts are on the mesh."""
-        ball, steps = Ball(samples.radius_mm), np.zeros(len(samples.numbers), dtype=int)
-        rotations = [_rotation(normal) for normal in samples.normals]
+        ball, steps = Ball(samples.radius_mm), np.zeros(len(samples.names), dtype=int)
+        normals, points = samples.normals @ turn, contacts.points_mm @ turn
+        rotations = [_rotation(normal) for normal in normals]
         deviations = np.hypot(self.contact_mm, unevenness(contacts.points_mm))
         for i in np.lexsort((samples.advance_mm, samples.probe)):
             k = int(samples.probe[i])
-            normal = samples.normals[k]
+            normal = normals[k]
             # On the axis: motion across it is that of the robot's compliance.
             depth = samples.advance_mm[i] + contacts.depth_mm[k]
-            centre = contacts.points_mm[k] + (samples.radius_mm - depth + above_mm[k]) * normal
-            deviation = contacts.noise_n / np.sqrt(samples.count[i])
+            centre = points[k] + (samples.radius_mm - depth + above_mm[k]) * normal
+            noise = contacts.noise_n / np.sqrt(samples.count[i])
+            deviation = np.hypot(noise, contacts.offsets.deviation_n[k])
             yield Press.by_probe(
                 ProbePose(ball, centre, rotations[k], deviation_mm=float(deviations[k])),
                 len(fixed),
@@ -131,7 +230,7 @@ class PalpationSettings(Options):
                 fixed=fixed,
                 step=int(steps[k]),
                 direction=-normal,
-                name=f"probe {samples.numbers[k]}",
+                name=f"probe {samples.names[k]}",
             )
             steps[k] += 1
 
@@ -140,10 +239,23 @@ class PalpationSettings(Options):
 class PalpationOptions(PalpationSettings):
     """Read the palpation by a robot with a ball and a force sensor (see the module's docstring)."""
 
+    columns: Mapping[str, str] | None = option(
+        None, "Columns of quantities that have other names, such as {fz: force_z}"
+    )
+    units: Mapping[str, str] | None = option(
+        None, "Units of quantities, if not those of the names, such as {x: m, y: m, z: m}"
+    )
+
     def __call__(self, *, path: str | Path) -> Recording:
         """Read a file; see `import_palpation`."""
-        samples = read_samples(Path(path), self.radius_mm, check_units=self.check_units)
-        return self.record(samples, path)
+        return self.record(read_rows(Path(path), self.columns or {}, self.units or {}), path)
+
+    def _state_unit(self, what: str, unit: str, rows: Rows) -> str:
+        prefixes = ["f"] if what == "force" else [""]
+        if what == "position" and rows.contacts_mm is not None:
+            prefixes.append("contact_")
+        units = ", ".join(f"{prefix}{axis}: {unit}" for prefix in prefixes for axis in "xyz")
+        return f'give "format.units={{{units}}}"'
 
 
 def import_palpation(path: str | Path, **options: Any) -> Recording:

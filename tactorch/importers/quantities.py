@@ -1,9 +1,10 @@
-"""Names and units of the columns of a table of presses; docs/howto/formats.md has the table.
+"""Names and units of the columns of tables; docs/howto/formats.md has those of a table of presses.
 
-A unit is a suffix of the name, such as ux_m or p_kpa, or stated by `format.units`; without one
+A unit is a suffix of the name, such as ux_m or "p [kPa]", or stated by `format.units`; without one
 quantities are in mm, mm2, N, MPa and N/mm.
 """
 
+import re
 from collections.abc import Mapping
 
 from tactorch.errors import ConfigError
@@ -32,11 +33,16 @@ UNITS: dict[str, dict[str, float]] = {
     **{f"fixed_{axis}": _NONE for axis in _AXES},
     **{f"spring_{axis}": _STIFFNESSES for axis in _AXES},
 }
-_COLUMNS = {
-    f"{quantity}_{unit}" if unit else quantity: (quantity, factor)
-    for quantity, units in UNITS.items()
-    for unit, factor in {"": 1.0, **units}.items()
+#: The same of a palpation.
+PALPATION_UNITS: dict[str, dict[str, float]] = {
+    "probe": _NONE,
+    **{axis: _LENGTHS for axis in _AXES},
+    **{f"f{axis}": _FORCES for axis in _AXES},
+    **{f"contact_{axis}": _LENGTHS for axis in _AXES},
+    **{f"normal_{axis}": _NONE for axis in _AXES},
 }
+#: Suffixes that state a unit.
+SUFFIXES = {unit for units in UNITS.values() for unit in units} | {"s", "ms", "us", "ns"}
 
 
 def vector(letter: str) -> tuple[str, str, str]:
@@ -45,7 +51,10 @@ def vector(letter: str) -> tuple[str, str, str]:
 
 
 def assign(
-    names: list[str], columns: Mapping[str, str], units: Mapping[str, str]
+    names: list[str],
+    columns: Mapping[str, str],
+    units: Mapping[str, str],
+    known: Mapping[str, Mapping[str, float]] = UNITS,
 ) -> dict[str, tuple[str, float]]:
     """Return the column and the factor of each quantity that a table has.
 
@@ -53,17 +62,18 @@ def assign(
         names: Names of the columns.
         columns: Column of a quantity, where its name is another.
         units: Unit of a quantity, where its name does not state it.
+        known: Units of each quantity that a table may have.
 
     Raises:
         ConfigError: A quantity or unit is unknown, a column is missing, or two columns have the
             same quantity.
     """
     for what, given in (("columns", columns), ("units", units)):
-        unknown = [quantity for quantity in given if quantity not in UNITS]
+        unknown = [quantity for quantity in given if quantity not in known]
         if unknown:
             raise ConfigError(
                 f"format.{what}: the quantity {unknown[0]!r} is unknown; choose of "
-                f"{', '.join(UNITS)}."
+                f"{', '.join(known)}."
             )
     found: dict[str, tuple[str, float]] = {}
     for quantity, column in columns.items():
@@ -72,10 +82,10 @@ def assign(
                 f"format.columns: there is no column {column!r} for {quantity}; the columns are "
                 f"{', '.join(names)}."
             )
-        found[quantity] = (column, _suffix(column.lower(), quantity))
-    taken = set(columns.values())
+        found[quantity] = (column, _suffix(clean(column), known[quantity]))
+    taken, meanings = set(columns.values()), _meanings(known)
     for name in names:
-        match = None if name in taken else parse(name)
+        match = None if name in taken else meanings.get(clean(name))
         if match is None or match[0] in columns:
             continue
         if match[0] in found:
@@ -85,7 +95,7 @@ def assign(
             )
         found[match[0]] = (name, match[1])
     return found | {
-        quantity: (found[quantity][0], _factor(quantity, unit))
+        quantity: (found[quantity][0], _factor(quantity, unit, known[quantity]))
         for quantity, unit in units.items()
         if quantity in found
     }
@@ -93,18 +103,31 @@ def assign(
 
 def parse(name: str) -> tuple[str, float] | None:
     """Return the quantity and the factor of its unit that a name of a column states."""
-    return _COLUMNS.get(name.strip().lower())
+    return _meanings(UNITS).get(clean(name))
 
 
-def _suffix(text: str, quantity: str) -> float:
+def clean(name: str) -> str:
+    """Return a name in lower case, with underscores for spaces and brackets: x_mm for "X [mm]"."""
+    return re.sub(r"\W+", "_", name.replace("µ", "u").lower()).strip("_")
+
+
+def _meanings(known: Mapping[str, Mapping[str, float]]) -> dict[str, tuple[str, float]]:
+    return {
+        f"{quantity}_{unit}" if unit else quantity: (quantity, factor)
+        for quantity, units in known.items()
+        for unit, factor in {"": 1.0, **units}.items()
+    }
+
+
+def _suffix(text: str, units: Mapping[str, float]) -> float:
     """Return the factor of the unit at the end of a name; 1 where there is none."""
-    matches = [unit for unit in UNITS[quantity] if text.endswith(f"_{unit}")]
-    return UNITS[quantity][max(matches, key=len)] if matches else 1.0
+    matches = [unit for unit in units if text.endswith(f"_{unit}")]
+    return units[max(matches, key=len)] if matches else 1.0
 
 
-def _factor(quantity: str, unit: str) -> float:
+def _factor(quantity: str, unit: str, units: Mapping[str, float]) -> float:
     key = unit.lower().replace("/", "_per_")
-    if key not in UNITS[quantity]:
-        known = ", ".join(UNITS[quantity]) or "none"
+    if key not in units:
+        known = ", ".join(units) or "none"
         raise ConfigError(f"format.units: {quantity} has no unit {unit!r}; its units are {known}.")
-    return UNITS[quantity][key]
+    return units[key]

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from tactorch.config import option
 from tactorch.errors import FileError
 from tactorch.importers.palpation import PalpationSettings
-from tactorch.importers.samples import make_samples
+from tactorch.importers.samples import Rows
 from tactorch.importers.sessions import Detection, Session, split_presses
 from tactorch.recording import Recording
 from tactorch.ros2 import PoseTrack, WrenchTrack, open_bag, read_poses, read_wrenches
@@ -44,7 +44,6 @@ class Ros2Options(Detection, PalpationSettings):
     wrench_axes: Literal["message", "tool", "fixed"] = option(
         "message", "Axes of the forces: by the frame of their messages, of the tool, or fixed"
     )
-    reverse_force: bool = option(False, "The wrench is that on the object, not on the ball")
     ball_mm: tuple[float, float, float] = option(
         (0.0, 0.0, 0.0), "Centre of the ball in the frame of the tool", unit="mm"
     )
@@ -61,13 +60,10 @@ class Ros2Options(Detection, PalpationSettings):
             poses = read_poses(bag, *names, self.max_gap_s)
             wrenches = read_wrenches(bag, self.wrench_topic, self.max_gap_s)
         probe, samples = split_presses(self._session(poses, wrenches, str(path)), self, str(path))
-        return self.record(
-            make_samples(
-                Path(path), probe.astype(float), samples.centres_mm, samples.forces_n,
-                self.radius_mm, check_units=self.check_units,
-            ),
-            path,
-        )  # fmt: skip
+        lines = [f"{time_s:.3f} s" for time_s in samples.time_s]
+        labels = probe.astype(str)
+        rows = Rows(labels, samples.centres_mm, samples.forces_n, lines, samples.time_s)
+        return self.record(rows, path)
 
     def _session(self, poses: PoseTrack, wrenches: WrenchTrack, source: str) -> Session:
         """Return centres of the ball and forces at the times of the forces that have poses."""
@@ -87,7 +83,7 @@ class Ros2Options(Detection, PalpationSettings):
         rotations = self._axes(at, poses, wrenches, time_s)
         forces = np.einsum("nij,nj->ni", rotations, forces)
         centres = at[:, :3, :3] @ np.array(self.ball_mm) + at[:, :3, 3]
-        return Session(time_s, centres, -forces if self.reverse_force else forces)
+        return Session(time_s, centres, forces)
 
     def _axes(
         self,

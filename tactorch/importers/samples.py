@@ -1,180 +1,388 @@
-"""Samples of a palpation: read from a table, without those that cannot be used."""
+"""Samples of a palpation: rows of a table by probe, without those that cannot be used."""
 
 import logging
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from tactorch.errors import FileError
-from tactorch.importers.sheets import read_sheet
+from tactorch.errors import ConfigError, FileError
+from tactorch.importers.quantities import PALPATION_UNITS, assign, clean
+from tactorch.importers.sheets import Sheet, read_sheet
+from tactorch.importers.strokes import find_places, find_stroke, lost_work
 
 _log = logging.getLogger(__name__)
-_POSITION = ("x_mm", "y_mm", "z_mm")
-_FORCE = ("fx_n", "fy_n", "fz_n")
-_CONTACT = ("contact_x_mm", "contact_y_mm", "contact_z_mm")
-_NORMAL = ("normal_x", "normal_y", "normal_z")
+_AXES = "xyz"
+_REQUIRED = {
+    "probe": "probe",
+    **{a: f"{a}_mm" for a in _AXES},
+    **{f"f{a}": f"f{a}_n" for a in _AXES},
+}
+_TIME = re.compile(r"(header_)?(time|t|timestamp|stamp|ros_time)(_(s|ms|us|ns))?")
+_SECONDS, _NANOSECONDS = re.compile(r"(.*_)?secs?"), re.compile(r"(.*_)?n(ano)?secs?")
 MIN_SAMPLES = 4  # of a probe
 #: Travel of a probe, over the ball's radius, below which it did not move.
 MIN_TRAVEL = 0.05
+_MAX_BACK = 0.01  # of the rows, before which a clock began again
+_STILL = 0.01  # motion that is none, over the ball's radius
+_APART = 0.5  # distance of places along the surface, over the ball's radius
 _UNIT = 0.2  # of the length of a unit normal, which rounding and averaging change
 _MIN_UP = 0.05  # component of a normal along z, the axis of the height of the surface
+_PRESSED = 5.0  # largest change of the force in contact, over its median
 NAMED = 8  # probes that a message names
+
+
+class Rows(NamedTuple):
+    """Rows of a palpation, in the order of the file."""
+
+    labels: np.ndarray  # of the probes, text; "" where there is none
+    centres_mm: Float[np.ndarray, "s 3"]  # of the ball
+    forces_n: Float[np.ndarray, "s 3"]  # on the ball
+    lines: Sequence[str]  # what messages call each row
+    time: Float[np.ndarray, " s"] | None = None  # in any unit
+    contacts_mm: Float[np.ndarray, "s 3"] | None = None  # first contact of the row's probe
+    normals: Float[np.ndarray, "s 3"] | None = None  # outward normal there
+
+    def take(self, index: Int[np.ndarray, " k"]) -> "Rows":
+        """Return some rows."""
+        lines = [self.lines[i] for i in index]
+        arrays: dict[str, Any] = {
+            name: None if value is None else value[index]
+            for name, value in self._asdict().items()
+            if name != "lines"
+        }
+        return Rows(**arrays, lines=lines)
+
+    def finite(self) -> "Rows":
+        """Return the rows that have numbers of force and position, and a probe."""
+        values = np.column_stack([self.centres_mm, self.forces_n])
+        good = np.isfinite(values).all(axis=1) & (self.labels != "")
+        return self.take(np.flatnonzero(good))
+
+    def turned(self, turn: Float[np.ndarray, "3 3"], sign: float) -> "Rows":
+        """Return the rows in turned axes, with a sign of the forces."""
+
+        def of(values: np.ndarray | None) -> np.ndarray | None:
+            return None if values is None else values @ turn.T
+
+        return self._replace(
+            centres_mm=self.centres_mm @ turn.T, forces_n=sign * self.forces_n @ turn.T,
+            contacts_mm=of(self.contacts_mm), normals=of(self.normals),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Samples of probes."""
+    """Samples of probes while the ball is pressed in."""
 
-    numbers: Int[np.ndarray, " probes"]  # of the probes in the file
+    names: np.ndarray  # of the probes in the file, text
     normals: Float[np.ndarray, "probes 3"]  # outward unit normals
-    origins_mm: Float[np.ndarray, "probes 3"]  # on their axes, where the ball touches at most a bit
+    origins_mm: Float[np.ndarray, "probes 3"]  # on their axes, where the samples begin
+    lost_nmm: Float[np.ndarray, " probes"]  # work that is not given back; NaN where not lifted
+    lost_from_mm: Float[np.ndarray, " probes"]  # advances between which that is known
+    lost_to_mm: Float[np.ndarray, " probes"]
     radius_mm: float  # of the ball
     probe: Int[np.ndarray, " s"]  # index of the probe
-    centres_mm: Float[np.ndarray, "s 3"]  # of the ball
     advance_mm: Float[np.ndarray, " s"]  # motion along minus the normal from the origin
     force_n: Float[np.ndarray, " s"]  # on the ball along the normal
+    time: Float[np.ndarray, " s"]  # in any unit
     count: Float[np.ndarray, " s"]  # number of samples that were averaged
+    left_out: Mapping[str, int] = field(default_factory=dict)  # number of rows, by the reason
 
-    def keep(self, kept: Bool[np.ndarray, " s"]) -> "Samples":
+    def keep(self, kept: Bool[np.ndarray, " s"], reason: str) -> "Samples":
         """Return some of the samples, and the probes that have any."""
         probes, inverse = np.unique(self.probe[kept], return_inverse=True)
+        of_probes = ["names", "normals", "origins_mm", "lost_nmm", "lost_from_mm", "lost_to_mm"]
+        of_samples = ("advance_mm", "force_n", "time", "count")
+        left = self.left_out.get(reason, 0) + int((~kept).sum())
         return replace(
-            self,
-            numbers=self.numbers[probes], normals=self.normals[probes],
-            origins_mm=self.origins_mm[probes], probe=inverse, centres_mm=self.centres_mm[kept],
-            advance_mm=self.advance_mm[kept], force_n=self.force_n[kept], count=self.count[kept],
+            self, probe=inverse, left_out={**self.left_out, reason: left},
+            **{name: getattr(self, name)[probes] for name in of_probes},
+            **{name: getattr(self, name)[kept] for name in of_samples},
         )  # fmt: skip
 
-    def reduced(self, depths: int | None) -> "Samples":
-        """Return means of successive samples, so many of each probe."""
+    def reduced(self, depths: int | None, begin_mm: Float[np.ndarray, " probes"]) -> "Samples":
+        """Return means over equal steps of the depth in contact, so many of each probe.
+
+        The advance of a mean is that at which a ball on a half-space has the mean force.
+
+        Args:
+            depths: Steps; None for the samples themselves.
+            begin_mm: Advance at which the contact of each probe begins.
+        """
+        samples = self.keep(self.advance_mm > begin_mm[self.probe], "in air")
         if depths is None:
-            return self
-        order = np.lexsort((self.advance_mm, self.probe))
-        sizes = np.bincount(self.probe)
-        rank = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-        parts = np.minimum(rank * depths // np.repeat(sizes, sizes), depths - 1)
-        key = self.probe[order] * depths + parts
-        keys, first, count = np.unique(key, return_index=True, return_counts=True)
+            return samples
+        depth = samples.advance_mm - begin_mm[samples.probe]
+        low, high = np.full(len(begin_mm), np.inf), np.zeros(len(begin_mm))
+        np.minimum.at(low, samples.probe, depth)
+        np.maximum.at(high, samples.probe, depth)
+        share = (depth - low[samples.probe]) / np.maximum(high - low, 1e-300)[samples.probe]
+        key = samples.probe * depths + np.minimum(share * depths, depths - 1).astype(int)
+        keys, part, count = np.unique(key, return_inverse=True, return_counts=True)
 
         def mean(values: np.ndarray) -> np.ndarray:
-            return (np.add.reduceat(values[order], first).T / count).T
+            return np.asarray(np.bincount(part, values) / count)
 
+        probe = keys // depths
         return replace(
-            self, probe=keys // depths, centres_mm=mean(self.centres_mm),
-            advance_mm=mean(self.advance_mm), force_n=mean(self.force_n), count=count * 1.0,
+            samples, probe=probe, force_n=mean(samples.force_n), count=count * 1.0,
+            advance_mm=begin_mm[probe] + mean(depth**1.5) ** (2.0 / 3.0), time=mean(samples.time),
         )  # fmt: skip
 
 
-def read_samples(path: Path, radius_mm: float | None, *, check_units: bool) -> Samples:
-    """Read the samples of a file; see `make_samples`."""
-    sheet, required = read_sheet(path, "palpation"), ("probe", *_POSITION, *_FORCE)
-    missing = [name for name in required if name not in sheet.columns]
+def read_rows(path: Path, columns: Mapping[str, str], units: Mapping[str, str]) -> Rows:
+    """Read the rows of a table.
+
+    Args:
+        path: The file.
+        columns: Column of a quantity, where its name is another.
+        units: Unit of a quantity, where its name does not state it.
+    """
+    sheet = read_sheet(path, "palpation")
+    try:
+        found = assign(list(sheet.columns), columns, units, PALPATION_UNITS)
+    except ConfigError as error:
+        raise ConfigError(f"'{path}': {error}") from error
+    missing = [name for name in _REQUIRED if name not in found]
     if missing:
         raise FileError(
-            f"'{path}' lacks the column {missing[0]!r}; its columns are "
-            f"{', '.join(sheet.columns)}. A palpation needs {', '.join(required)}."
+            f"'{path}' lacks the column {_REQUIRED[missing[0]]!r}; its columns are "
+            f"{', '.join(sheet.columns)}. A palpation needs {', '.join(_REQUIRED.values())}; other "
+            f"names are stated as in format.columns={{{missing[0]}: NAME}}."
         )
 
-    def columns(*names: str) -> Float[np.ndarray, "s k"]:
-        return np.column_stack([sheet.numbers(name, finite=False) for name in names])
+    def vectors(prefix: str) -> Float[np.ndarray, "s 3"] | None:
+        names = [prefix + axis for axis in _AXES]
+        if not found.keys() >= set(names):
+            return None
+        parts = [found[name] for name in names]
+        return np.column_stack([f * sheet.numbers(name, finite=False) for name, f in parts])
 
-    has_surface = {*_CONTACT, *_NORMAL} <= set(sheet.columns)
-    return make_samples(
-        path, columns("probe")[:, 0], columns(*_POSITION), columns(*_FORCE), radius_mm,
-        surface=(columns(*_CONTACT), columns(*_NORMAL)) if has_surface else None,
-        check_units=check_units,
+    centres, forces = vectors(""), vectors("f")
+    contacts, normals = vectors("contact_"), vectors("normal_")
+    assert centres is not None
+    assert forces is not None
+    both = contacts is not None and normals is not None
+    labels = np.array([_label(text) for text in sheet.texts(found["probe"][0])])
+    return Rows(
+        labels, centres, forces, sheet.lines, _time(sheet),
+        contacts if both else None, normals if both else None,
     )  # fmt: skip
 
 
-def make_samples(
-    path: Path,
-    probes: Float[np.ndarray, " s"],
-    centres: Float[np.ndarray, "s 3"],
-    forces: Float[np.ndarray, "s 3"],
-    radius_mm: float | None,
-    *,
-    surface: tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, "s 3"]] | None = None,
-    check_units: bool,
-) -> Samples:
+def _label(text: str) -> str:
+    """Return the name of a probe: a number in its shortest form, "" where it is missing."""
+    try:
+        return "" if np.isnan(float(text)) else f"{float(text):.12g}"
+    except ValueError:
+        return text
+
+
+def _time(sheet: Sheet) -> Float[np.ndarray, " s"] | None:
+    """Return the times of the rows, in any unit; None where they are not known for all."""
+    names = {clean(name): name for name in sheet.columns}
+    whole = [name for name in names if _TIME.fullmatch(name)]
+    parts = [[name for name in names if form.fullmatch(name)] for form in (_SECONDS, _NANOSECONDS)]
+    try:
+        if all(parts):
+            seconds, nano = (sheet.numbers(names[part[0]], finite=False) for part in parts)
+            times = seconds + 1e-9 * nano
+        elif whole:
+            times = sheet.numbers(names[whole[0]], finite=False)
+        else:
+            return None
+    except FileError:  # such as a date
+        return None
+    if not np.isfinite(times).all():
+        return None
+    back = -np.minimum(np.diff(times, prepend=times[:1]), 0.0)
+    # A clock that began again, unless the rows are in no order.
+    return times + np.cumsum(back) if (back > 0.0).mean() < _MAX_BACK else times
+
+
+def make_samples(path: Path, rows: Rows, radius_mm: float | None) -> Samples:
     """Return the samples of rows; rows and probes that cannot be used are left out, and named.
 
     Args:
         path: Name of their file in messages.
-        probes: Number of the probe of each row.
-        centres: Centre of the ball, mm.
-        forces: Force on the ball, N.
+        rows: Rows in axes whose z points out of the object.
         radius_mm: Radius of the ball; None for the distance of its centre from the contacts.
-        surface: First contact and outward normal of the probe of each row, where the file has them.
-        check_units: Whether magnitudes that suggest a wrong unit are refused.
     """
-    good = np.isfinite(np.column_stack([probes, centres, forces])).all(axis=1)
-    if not good.all():
-        count = (~good).sum()
-        _log.warning("'%s': %d rows without a number in every column are left out.", path, count)
-    probes, centres, forces = probes[good], centres[good], forces[good]
-    if check_units:
-        _check_units(path, centres, forces)
-    numbers, first, probe = np.unique(probes, return_index=True, return_inverse=True)
-    last = len(probes) - 1 - np.unique(probes[::-1], return_index=True)[1]
-    origins, motion = centres[first], centres[last] - centres[first]
-    travel = np.linalg.norm(motion, axis=1)
-    normals = -motion / np.maximum(travel, 1e-300)[:, None]
-    radius = radius_mm
-    if surface is not None:
-        contacts, normals = (values[good][first] for values in surface)
-        if radius is None:
-            radius = _radius(path, origins, contacts)
-    if radius is None:
+    radius = radius_mm or _radius(path, rows)
+    names, probe = _probes(path, rows, _APART * radius)
+    left_out: dict[str, int] = {}
+    left_out["apart from the others of their probe"] = int((probe < 0).sum())
+    order = np.arange(len(probe)) if rows.time is None else np.argsort(rows.time, kind="stable")
+    order = order[np.argsort(probe[order], kind="stable")]
+    order = order[probe[order] >= 0]
+    strokes = _Strokes(rows.take(order), probe[order], names, radius, path)
+    return strokes.samples(path, left_out)
+
+
+def _probes(path: Path, rows: Rows, apart_mm: float) -> tuple[np.ndarray, Int[np.ndarray, " s"]]:
+    """Return names of the probes, and the probe of each row; -1 for rows that are apart.
+
+    Rows of a label at several places are several probes.
+    """
+    names: list[str] = []
+    split: list[tuple[str, int, int]] = []
+    probe = np.full(len(rows.labels), -1)
+    for label in dict.fromkeys(rows.labels.tolist()):
+        of_label = np.flatnonzero(rows.labels == label)
+        places = find_places(rows.centres_mm[of_label, :2], apart_mm, MIN_SAMPLES)
+        for place in range(places.max() + 1):
+            probe[of_label[places == place]] = len(names)
+            names.append(f"{label} ({place + 1})" if place else label)
+        if places.max() > 0:
+            first, second = (int(of_label[np.argmax(places == k)]) for k in (0, 1))
+            split.append((label, first, second))
+    if split:
+        label, first, second = split[0]
+        at = [", ".join(f"{x:.4g}" for x in rows.centres_mm[i, :2]) for i in (first, second)]
+        _log.warning(
+            "'%s': rows of %d probes are at more than one place, such as those of probe %s: %s at "
+            "(%s) mm, %s at (%s) mm. Each place is taken as a probe ('%s', '%s (2)'); give each "
+            "place a separate number if that is wrong.", path, len(split), label,
+            rows.lines[first], at[0], rows.lines[second], at[1], label, label,
+        )  # fmt: skip
+    return np.array(names, dtype=object), probe
+
+
+class _Strokes:
+    """Rows by probe, in the order of time."""
+
+    def __init__(
+        self, rows: Rows, probe: Int[np.ndarray, " s"], names: np.ndarray, radius: float, path: Path
+    ):
+        self.rows, self.names, self.radius = rows, names, radius
+        self.parts = np.split(np.arange(len(probe)), np.cumsum(np.bincount(probe))[:-1])
+        up = np.array([[0.0, 0.0, 1.0]])
+        first = [part[0] for part in self.parts]
+        normals = np.repeat(up, len(names), 0) if rows.normals is None else rows.normals[first]
+        if rows.normals is None:
+            self._check_axis(path)
+        still, timed = _STILL * radius, rows.time is not None
+        lengths = np.linalg.norm(normals, axis=1)
+        known = np.where((lengths > 1.0 - _UNIT)[:, None], normals, up)
+        self.strokes = [
+            find_stroke(rows.centres_mm[part], outward, still, timed)
+            for part, outward in zip(self.parts, known, strict=True)
+        ]
+        self.pressed = [p[s.pressed] for p, s in zip(self.parts, self.strokes, strict=True)]
+        centres = [rows.centres_mm[pressed] for pressed in self.pressed]
+        self.origins, last = (np.array([c[i] for c in centres]) for i in (0, -1))
+        self.travel = np.linalg.norm(last - self.origins, axis=1)
+        if rows.normals is None:
+            # Of the second half of the motion: the first may lead to the place.
+            normals = np.array([c[np.argmax(_lower_half(c))] - c[-1] for c in centres])
+            lengths = np.linalg.norm(normals, axis=1)
+            normals = normals / np.maximum(lengths, 1e-300)[:, None]
+            heights = ((self.origins - last) * normals).sum(axis=1)
+            self.origins, lengths = last + heights[:, None] * normals, np.ones(len(names))
+        self.unit = np.abs(lengths - 1.0) < _UNIT
+        self.normals = normals / np.maximum(lengths, 1e-300)[:, None]
+
+    def _check_axis(self, path: Path) -> None:
+        """Refuse rows whose forces rise in another direction than downwards."""
+        pushes = [np.zeros(3)]
+        for part in self.parts:
+            centres, forces = self.rows.centres_mm[part], self.rows.forces_n[part]
+            change = np.linalg.norm(forces - np.median(forces, axis=0), axis=1)
+            apart = centres[change.argmax()] - centres
+            if change.max() > _PRESSED * np.median(change):
+                pushes.append(apart[np.linalg.norm(apart, axis=1).argmax()])
+        outward = -np.median(pushes[1:] or pushes, axis=0)
+        length = float(np.linalg.norm(outward))
+        if outward[2] < _MIN_UP * length:
+            raise _wrong_axis(path, outward / length)
+
+    def samples(self, path: Path, left_out: dict[str, int]) -> Samples:
+        """Return the samples of probes that can be used."""
+        usable = self._usable(path)
+        lifted = [stroke.lifted for stroke in self.strokes]
+        moved, pressed = sum(stroke.moved for stroke in self.strokes), sum(map(len, self.pressed))
+        left_out["before the approach"] = moved
+        left_out["lifted or pressed again"] = len(self.rows.labels) - moved - pressed
+        branches = [
+            (self._branch(k, self.pressed[k]), self._branch(k, self.parts[k][lifted[k]]))
+            for k in range(len(self.names))
+        ]
+        least = MIN_TRAVEL * self.radius
+        lost, low, high = np.array([lost_work(*pair, least) for pair in branches]).T
+        advance, force = (np.concatenate([pair[0][i] for pair in branches]) for i in (0, 1))
+        times = self.rows.time
+        if times is None:
+            times = np.arange(float(len(self.rows.labels)))
+        probe = np.repeat(np.arange(len(self.names)), [len(p) for p in self.pressed])
+        times = times[np.concatenate(self.pressed)]
+        samples = Samples(
+            self.names, self.normals, self.origins, lost, low, high, self.radius, probe,
+            advance, force, times, np.ones(len(force)), left_out,
+        )  # fmt: skip
+        return samples.keep(usable[probe], "of probes that cannot be used")
+
+    def _branch(
+        self, k: int, rows: Int[np.ndarray, " p"]
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
+        """Return the advances (mm) and forces (N) of rows of a probe."""
+        advance = (self.origins[k] - self.rows.centres_mm[rows]) @ self.normals[k]
+        return advance, self.rows.forces_n[rows] @ self.normals[k]
+
+    def _usable(self, path: Path) -> Bool[np.ndarray, " probes"]:
+        """Return which probes can be used, and name the others."""
+        few = np.array([len(rows) < MIN_SAMPLES for rows in self.pressed])
+        short, up = MIN_TRAVEL * self.radius, self.normals[:, 2] > _MIN_UP
+        faults = {
+            f"fewer than {MIN_SAMPLES} samples while the ball is pressed in": few,
+            f"a travel of less than {short:.2g} mm": self.travel < short,
+            "no unit normal": ~self.unit,
+            "a normal that does not point upwards (z)": ~up,
+        }
+        usable = np.ones(len(self.names), dtype=bool)
+        for reason, faulty in faults.items():
+            name_probes(path, self.names[faulty & usable], reason)
+            usable &= ~faulty
+        if not usable.any():
+            raise _wrong_axis(path, np.median(self.normals, axis=0))
+        unordered = ~np.array([stroke.ordered for stroke in self.strokes])
+        if (usable & unordered).any():
+            _log.warning(
+                "'%s': the rows of %d probes are in no order of time, and are taken by their depth;"
+                " rows of a ball that is lifted cannot be left out. Give a column 'time_s'.",
+                path, (usable & unordered).sum(),
+            )  # fmt: skip
+        return usable
+
+
+def _lower_half(centres: Float[np.ndarray, "p 3"]) -> Bool[np.ndarray, " p"]:
+    """Return which rows are nearer to the last than half of the way."""
+    apart = np.linalg.norm(centres - centres[-1], axis=1)
+    return apart <= 0.5 * apart[0]
+
+
+def _wrong_axis(path: Path, outward: Float[np.ndarray, "3"]) -> FileError:
+    axis = int(np.abs(outward).argmax())
+    return FileError(
+        f"'{path}' has no probe that can be used; see the warnings. Normals must point out of the "
+        f"object, with z upwards; they are about ({', '.join(f'{x:.2g}' for x in outward)}). If "
+        f"another axis points out of the object, give it, as format.up={_AXES[axis]}"
+        f"{'+' if outward[axis] > 0 else '-'}."
+    )
+
+
+def _radius(path: Path, rows: Rows) -> float:
+    """Return the distance of the ball's centre from the contacts, mm."""
+    if rows.contacts_mm is None:
         raise FileError(
             f"'{path}' has no contacts that tell the radius of the ball; give format.radius_mm."
         )
-    lengths = np.linalg.norm(normals, axis=1)
-    faults = {
-        f"fewer than {MIN_SAMPLES} samples": np.bincount(probe) < MIN_SAMPLES,
-        f"a travel of less than {MIN_TRAVEL * radius:.2g} mm": travel < MIN_TRAVEL * radius,
-        "no unit normal": ~(np.abs(lengths - 1.0) < _UNIT),
-        "a normal that does not point upwards (z)": ~(normals[:, 2] > _MIN_UP * lengths),
-    }
-    usable = np.ones(len(numbers), dtype=bool)
-    for reason, faulty in faults.items():
-        name_probes(path, numbers[faulty & usable], reason)
-        usable &= ~faulty
-    if not usable.any():
-        raise FileError(
-            f"'{path}' has no probe that can be used; see the warnings. Normals must point out of "
-            "the object, with z upwards."
-        )
-    normals = normals / np.maximum(lengths, 1e-300)[:, None]
-    advance = -((centres - origins[probe]) * normals[probe]).sum(axis=1)
-    force = (forces * normals[probe]).sum(axis=1)
-    whole, ones = numbers.astype(int), np.ones(len(force))
-    samples = Samples(whole, normals, origins, radius, probe, centres, advance, force, ones)
-    return samples.keep(usable[probe])
-
-
-def _check_units(
-    path: Path, centres: Float[np.ndarray, "s 3"], forces: Float[np.ndarray, "s 3"]
-) -> None:
-    span = float(np.linalg.norm(np.ptp(centres, axis=0))) if len(centres) else 0.0
-    largest = float(np.linalg.norm(forces, axis=1).max(initial=0.0))
-    for found, value, unit, low, high in (
-        ("positions span", span, "mm", 1.0, 1e4),
-        ("forces reach", largest, "N", 1e-3, 1e3),
-    ):
-        if not low < value < high:
-            raise FileError(
-                f"'{path}': {found} {value:.3g} {unit}; another unit? Convert to {unit}, or pass "
-                "format.check_units=false."
-            )
-
-
-def _radius(
-    path: Path, starts: Float[np.ndarray, "probes 3"], contacts: Float[np.ndarray, "probes 3"]
-) -> float:
-    """Return the distance of the ball's centre from the contacts, mm."""
-    distances = np.linalg.norm(starts - contacts, axis=1)
+    _, first = np.unique(rows.labels, return_index=True)
+    distances = np.linalg.norm(rows.centres_mm[first] - rows.contacts_mm[first], axis=1)
     distances = distances[np.isfinite(distances) & (distances > 0.0)]
     if not len(distances):
         raise FileError(f"'{path}' has no contact; give format.radius_mm.")
@@ -183,9 +391,10 @@ def _radius(
     return radius
 
 
-def name_probes(path: str | Path, numbers: np.ndarray, reason: str) -> None:
+def name_probes(path: str | Path, names: np.ndarray, reason: str) -> None:
     """Log a warning about probes that are left out, where there are any."""
-    if len(numbers):
-        shown = ", ".join(f"{n:g}" for n in numbers[:NAMED])
-        more = f" and {len(numbers) - NAMED} more" if len(numbers) > NAMED else ""
-        _log.warning("'%s': probes with %s are left out: %s%s.", path, reason, shown, more)
+    if len(names):
+        shown = ", ".join(f"'{name}'" for name in names[:NAMED])
+        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+        count = f"{len(names)} probes are" if len(names) > 1 else "1 probe is"
+        _log.warning("'%s': %s left out, with %s: %s%s.", path, count, reason, shown, more)

@@ -1,6 +1,8 @@
 """Tables in CSV and Parquet files: columns by name, with errors that name file and row."""
 
 import csv
+import logging
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +14,14 @@ from jaxtyping import Float
 from tactorch.budget import TEXT, check_memory, read_content
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import require_file
+from tactorch.importers.quantities import SUFFIXES as UNITS
+from tactorch.importers.quantities import clean
 
+_log = logging.getLogger(__name__)
 SUFFIXES = (".csv", ".txt", ".tsv", ".parquet")
 _DELIMITERS = ",;\t"
 _BYTES_PER_CELL = 64  # of a number of Python in a list
-_MISSING = ("", "nan", "na", "null", "none")
+_MISSING = ("", "-", "nan", "na", "n/a", "null", "none")
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +34,10 @@ class Sheet:
 
     def numbers(self, name: str, *, finite: bool = True) -> Float[np.ndarray, " rows"]:
         """Return a column of numbers, NaN where a cell is empty."""
-        values = np.array([self._number(name, i) for i in range(len(self.lines))])
+        try:
+            values = np.array(self.columns[name]).astype(np.float64)
+        except ValueError:  # an empty cell, a decimal comma, or no number
+            values = np.array([self._number(name, i) for i in range(len(self.lines))])
         if finite and np.isinf(values).any():
             self._refuse(name, int(np.isinf(values).argmax()))
         return values
@@ -43,7 +51,7 @@ class Sheet:
         if cell is None or (isinstance(cell, str) and cell.strip().lower() in _MISSING):
             return float("nan")
         try:
-            return float(cell)
+            return float(_with_point(cell))
         except (TypeError, ValueError):
             self._refuse(name, row)
 
@@ -55,9 +63,11 @@ class Sheet:
 
 
 def read_sheet(path: str | Path, what: str = "table of presses") -> Sheet:
-    """Read a table with a line of names: text with commas, semicolons or tabs, or Parquet.
+    """Read a table with a line of names: text with commas, semicolons, tabs or spaces, or Parquet.
 
-    Lines that are empty or start with # are ignored. Messages name the expected content `what`.
+    Lines that are empty or start with # are ignored, except names in the last of them above the
+    numbers. Units may be in a second line. Decimals may have commas. Lines of names within the
+    table, as after a restart of a logger, are left out. Messages name the expected content `what`.
     """
     source = require_file(path, what)
     sheet = _parquet(source) if source.suffix.lower() == ".parquet" else _text(source)
@@ -69,31 +79,72 @@ def read_sheet(path: str | Path, what: str = "table of presses") -> Sheet:
 def _text(source: Path) -> Sheet:
     try:
         content = read_content(source, TEXT).decode("utf-8-sig")
-        lines = [
-            (number, line)
-            for number, line in enumerate(content.splitlines(), start=1)
-            if line.strip() and not line.lstrip().startswith("#")
-        ]
+        numbered = [(n, text.strip(" ")) for n, text in enumerate(content.splitlines(), start=1)]
+        lines = [(n, text) for n, text in numbered if text.strip() and not text.startswith("#")]
         if not lines:
             raise FileError(f"'{source}' is empty; a table has a line of names, then numbers.")
-        delimiter = max(_DELIMITERS, key=lines[0][1].count)
-        rows = list(csv.reader([line for _, line in lines], delimiter=delimiter, strict=True))
+        above = [line for line in numbered[: lines[0][0] - 1] if line[1]]
+        if above and any(map(_is_number, re.split(r"[;,\s]+", lines[0][1]))):
+            lines.insert(0, (above[-1][0], above[-1][1].lstrip("# ")))
+        rows = _split([text for _, text in lines])
     except (UnicodeDecodeError, csv.Error) as error:
-        raise FileError(f"'{source}' is not a table of text: {error}; save it as CSV.") from error
-    names = [name.strip() for name in rows[0]]
+        raise FileError(
+            f"'{source}' is not a table of text: {error}; save it as CSV in UTF-8."
+        ) from error
+    numbers = [number for number, _ in lines[1:]]
+    return _table(source, rows[0], list(zip(numbers, rows[1:], strict=True)))
+
+
+def _split(lines: list[str]) -> list[list[str]]:
+    """Return the cells of lines, by the delimiter that the first has most often, else spaces."""
+    delimiter = max(_DELIMITERS, key=lines[0].count)
+    delimiter = delimiter if delimiter in lines[0] else " "
+    reader = csv.reader(lines, delimiter=delimiter, strict=True, skipinitialspace=True)
+    return [[cell.strip() for cell in row] for row in reader]
+
+
+def _table(source: Path, header: list[str], rows: list[tuple[int, list[str]]]) -> Sheet:
+    """Return the sheet of a line of names and the cells of numbered lines below it."""
+    names, count, heads = header, len(rows), [header]
+    units = [clean(cell) for cell in rows[0][1]] if rows else []
+    if any(unit in UNITS for unit in units) and not any(map(_is_number, rows[0][1])):
+        names = [_with_unit(*pair) for pair in zip(names, units, strict=False)]
+        count, heads = count - 1, [header, rows[0][1]]
+    rows = [(number, row) for number, row in rows if row not in heads]
+    if len(rows) < count:
+        _log.info("'%s': %d lines repeat the names or units.", source, count - len(rows))
     _check_names(source, names)
-    for (number, _), row in zip(lines[1:], rows[1:], strict=False):
-        if len(row) != len(names):
+    cells = []
+    for number, row in rows:
+        if len(row) < len(names) or any(row[len(names) :]):
             raise FileError(
                 f"'{source}' line {number} has {len(row)} cells and the line of names"
                 f" {len(names)}; is the file cut short?"
             )
-    cells = list(zip(*rows[1:], strict=True)) or [()] * len(names)
-    return Sheet(
-        source,
-        dict(zip(names, cells, strict=True)),
-        [f"line {number}" for number, _ in lines[1:]],
-    )
+        cells.append(row[: len(names)])
+    columns = list(zip(*cells, strict=True)) or [()] * len(names)
+    lines = [f"line {number}" for number, _ in rows]
+    return Sheet(source, dict(zip(names, columns, strict=True)), lines)
+
+
+def _with_unit(name: str, unit: str) -> str:
+    """Return the name of a column with the unit that is stated below it."""
+    return name if unit not in UNITS or clean(name).endswith(f"_{unit}") else f"{name}_{unit}"
+
+
+def _with_point(cell: Any) -> Any:
+    """Return a cell with a decimal point instead of a comma."""
+    if isinstance(cell, str) and cell.count(",") == 1 and "." not in cell:
+        return cell.replace(",", ".")
+    return cell
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(_with_point(cell))
+    except ValueError:
+        return False
+    return True
 
 
 def _parquet(source: Path) -> Sheet:

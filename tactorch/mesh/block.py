@@ -15,24 +15,25 @@ from tactorch.mesh.values import Points
 _SMOOTHINGS = (0.0, 0.1, 1.0, 10.0, 100.0)  # of thin plates, in squared units of the spacing
 _FOLDS, _NEIGHBOURS = 5, 40
 _GROWTH = 1.3  # thickness of a layer over that of the one above
-_MIN_POINTS = 10
+_MIN_POINTS, _MIN_PLANE = 10, 3
+_PLANE = 1e9  # smoothing that leaves a plane
 
 
 class HeightField:
-    """A smooth height z(x, y) through scattered points: a thin plate.
+    """A smooth height z(x, y) through scattered points: a thin plate, a plane if few.
 
-    Its smoothing is the one that predicts points best that are left out. Beyond the points the
-    height is that of the nearest.
+    The smoothing of a plate is the one that predicts points best that are left out. Beyond the
+    points its height is that of the nearest.
 
     Raises:
-        MeshError: there are fewer than ten points, or they are in line.
+        MeshError: there are fewer than three points, or they are in line.
     """
 
     def __init__(self, points_mm: Points) -> None:
-        if len(points_mm) < _MIN_POINTS:
+        if len(points_mm) < _MIN_PLANE:
             raise MeshError(
-                f"A surface by {len(points_mm)} points is not known; at least {_MIN_POINTS} are "
-                "needed."
+                f"A surface by {len(points_mm)} points is not known; give at least {_MIN_PLANE} for"
+                f" a plane, {_MIN_POINTS} for another surface."
             )
         low, high = points_mm[:, :2].min(axis=0), points_mm[:, :2].max(axis=0)
         #: Lowest and highest x and y of the points, mm.
@@ -42,12 +43,19 @@ class HeightField:
         if spread[1] < 1e-3 * spread[0]:
             raise MeshError("The points of the surface are in line; give some that span an area.")
         self._unit = np.sqrt(area / len(points_mm))
-        errors = [self._error(points_mm, smoothing) for smoothing in _SMOOTHINGS]
-        best = int(np.argmin(errors))
-        #: Root mean square error at points that are left out, mm.
-        self.error_mm = float(errors[best])
+        #: Whether it is a plane.
+        self.is_plane = len(points_mm) < _MIN_POINTS
         self._points, self._tree = points_mm, cKDTree(points_mm[:, :2])
-        self._plate = self._fit(points_mm, _SMOOTHINGS[best])
+        if self.is_plane:
+            self._plate = self._fit(points_mm, _PLANE)
+            squares = (self._plate(points_mm[:, :2] / self._unit) - points_mm[:, 2]) ** 2
+            errors, best = [np.sqrt(squares.mean())], 0
+        else:
+            errors = [self._error(points_mm, smoothing) for smoothing in _SMOOTHINGS]
+            best = int(np.argmin(errors))
+            self._plate = self._fit(points_mm, _SMOOTHINGS[best])
+        #: Root mean square error, mm: of a plate at points that are left out.
+        self.error_mm = float(errors[best])
 
     def _fit(self, points: Points, smoothing: float) -> RBFInterpolator:
         count = min(_NEIGHBOURS, len(points))

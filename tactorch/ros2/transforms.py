@@ -1,5 +1,6 @@
 """Rigid transforms over time, and the tree of frames that they form. Lengths in mm, times in s."""
 
+import logging
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,9 +11,11 @@ from scipy.spatial.transform import Rotation
 from tactorch.errors import FileError
 from tactorch.sensor.poses import interpolate_poses
 
+_log = logging.getLogger(__name__)
 _MM_PER_M = 1e3
 _QUATERNION_TOLERANCE = 1e-2
 _SHOWN = 20  # frames that a message lists
+_MOVES = 1e-9  # change of a transform, mm or of its rotation, that moves the frame
 #: By which messages may be out of order, s; more is a clock that was set back.
 MAX_BACK_S = 0.05
 Poses = Float[np.ndarray, "n 4 4"]
@@ -150,9 +153,8 @@ class TransformTree:
     source: str
     max_gap_s: float
     parents: dict[str, str] = field(default_factory=dict)
-    _times: dict[str, list[float]] = field(default_factory=dict)
-    _poses: dict[str, list[np.ndarray]] = field(default_factory=dict)
-    _static: set[str] = field(default_factory=set)
+    # Times and poses by frame: of static transforms, and of others.
+    _messages: dict[tuple[str, bool], list[tuple[float, np.ndarray]]] = field(default_factory=dict)
 
     def add(self, message: Any, time_s: float, *, static: bool) -> None:
         """Add a geometry_msgs/TransformStamped.
@@ -168,10 +170,7 @@ class TransformTree:
             )
         what = f"bag '{self.source}': transform of {child!r} at {time_s:.3f} s"
         pose = rigid(message.transform.translation, message.transform.rotation, what)
-        self._times.setdefault(child, []).append(time_s)
-        self._poses.setdefault(child, []).append(pose)
-        if static:
-            self._static.add(child)
+        self._messages.setdefault((child, static), []).append((time_s, pose))
 
     def between(self, frame: str, tool: str) -> Chain:
         """Return the transforms from the axes of `tool` to those of `frame`.
@@ -207,6 +206,16 @@ class TransformTree:
         return chain
 
     def _track(self, name: str) -> Track:
+        """Return the transforms of a frame: the static one, unless others move it."""
         what = f"bag '{self.source}': transform of {name!r}"
-        times, poses = np.array(self._times[name]), np.array(self._poses[name])
-        return Track(times, poses, what, self.max_gap_s, name in self._static)
+        static, moving = (self._messages.get((name, kind), []) for kind in (True, False))
+        poses = [pose for _, pose in moving or static]
+        moves = not static or (bool(moving) and np.ptp(poses, axis=0).max() > _MOVES)
+        if moves and static:
+            _log.warning(
+                "%s is in messages of a static topic (tf_static) and in %d of a moving one (tf), "
+                "which are used.", what, len(moving),
+            )  # fmt: skip
+        used = moving if moves else static
+        times, matrices = (np.array([message[i] for message in used]) for i in (0, 1))
+        return Track(times, matrices, what, self.max_gap_s, not moves)

@@ -113,10 +113,11 @@ def test_the_radius_is_that_of_the_contacts_and_normals_are_those_of_the_motion(
         assert one.probe.position_mm == pytest.approx(other.probe.position_mm, abs=1e-6)
 
 
-def test_all_samples_are_kept_on_demand_and_a_file_round_trips(tmp_path: Path) -> None:
+def test_all_samples_in_contact_are_kept_on_demand_and_a_file_round_trips(tmp_path: Path) -> None:
     path = write(tmp_path / "p.csv", *table())
     recording = import_palpation(path, radius_mm=RADIUS, depths=None)
-    assert len(recording.presses) == 49 * 10
+    # Of ten samples of a probe, the first two are in air, and the third is at the surface.
+    assert 49 * 7 <= len(recording.presses) <= 49 * 8
     recording.save(tmp_path / "p.h5")
     loaded = Recording.load(tmp_path / "p.h5")
     last, same = recording.presses[-1], loaded.presses[-1]
@@ -128,7 +129,7 @@ def test_all_samples_are_kept_on_demand_and_a_file_round_trips(tmp_path: Path) -
 
 
 def test_averages_are_as_certain_as_many_samples(tmp_path: Path) -> None:
-    path = write(tmp_path / "p.csv", *table())
+    path = write(tmp_path / "p.csv", *table(early_mm=-0.1))
     one = import_palpation(path, radius_mm=RADIUS, depths=1, noise_n=0.01).presses[0]
     assert one.force.deviations == pytest.approx([0.01 / np.sqrt(10.0)])
 
@@ -162,21 +163,33 @@ def test_faulty_probes_and_rows_are_left_out_and_named(
         )
     used = {press.name for press in recording.presses}
     assert used == {f"probe {n}" for n in range(49)} - {f"probe {n}" for n in (5, 7, 9, 11)}
-    for text in ("samples are left out: 5", "travel", "does not rise", "upwards", "of probes 13"):
+    for text in (
+        "samples while the ball is pressed in: '5'",
+        "travel",
+        "does not rise",
+        "upwards",
+        "of probes 13",
+    ):
         assert text in caplog.text
-    assert sum(press.name == "probe 13" for press in recording.presses) == 9
+    assert 6 <= sum(press.name == "probe 13" for press in recording.presses) <= 7  # in contact
     assert "1 rows without a number" in caplog.text
 
 
 BAD = {
     "missing column": (lambda n, r: ((*n[:3], "height", *n[4:]), r), "lacks the column 'z_mm'"),
-    "metres": (lambda n, r: (n, _scaled(r, slice(1, 4), 1e-3)), "Convert to mm"),
-    "millinewtons": (lambda n, r: (n, _scaled(r, slice(4, 7), 1e5)), "Convert to N"),
+    "metres": (
+        lambda n, r: (n, _scaled(r, slice(1, 4), 1e-3)),
+        "in m; give .format.units={x: m, y: m, z: m, contact_x: m",
+    ),
+    "millinewtons": (
+        lambda n, r: (n, _scaled(r, slice(4, 7), 1e5)),
+        "in mN; give .format.units={fx: mN, fy: mN, fz: mN}",
+    ),
     "force that pulls": (lambda n, r: (n, _scaled(r, slice(4, 7), -1.0)), "force rises"),
     "z downwards": (lambda n, r: (n, _scaled(r, slice(12, 13), -1.0)), "z upwards"),
     "too few samples": (lambda n, r: (n, r[::5]), "no probe that can be used"),
-    "one probe": (lambda n, r: (n, r[:10]), "at least 10"),
-    "probes in line": (lambda n, r: (n, r[r[:, 1] == 0.0]), "least 10|in line"),
+    "one probe": (lambda n, r: (n, r[:10]), r"at least 3 .*give the object as format\.mesh"),
+    "probes in line": (lambda n, r: (n, r[r[:, 1] == 0.0]), r"in line.*format\.mesh"),
     "a name twice": (lambda n, r: ((*n[:2], "x_mm", *n[3:]), r), "lacks|two columns"),
 }
 

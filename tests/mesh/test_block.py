@@ -59,10 +59,21 @@ def test_a_block_has_the_surface_a_flat_bottom_and_the_margin() -> None:
 
 
 def test_surfaces_that_are_not_known_are_refused() -> None:
-    with pytest.raises(MeshError, match="at least 10"):
-        HeightField(scattered(5))
+    with pytest.raises(MeshError, match="at least 3"):
+        HeightField(scattered(2))
     line = np.column_stack([np.arange(20.0), 2.0 * np.arange(20.0), np.zeros(20)])
     with pytest.raises(MeshError, match="in line"):
         HeightField(line)
     with pytest.raises(MeshError, match="choose a larger"):
         block_below(HeightField(scattered()), depth_mm=12.0, margin_mm=5.0, edge_mm=0.02)
+
+
+def test_few_points_give_a_plane() -> None:
+    points = scattered(6)
+    points[:, 2] = 1.0 + 0.1 * points[:, 0] - 0.05 * points[:, 1]
+    height = HeightField(points)
+    assert height.is_plane
+    assert height.error_mm < 1e-6
+    inside = points[:, :2].mean(axis=0)[None]
+    assert height(inside) == pytest.approx(1.0 + inside @ [0.1, -0.05], abs=1e-6)
+    assert not HeightField(scattered()).is_plane

@@ -55,8 +55,8 @@ def check(recording: Recording) -> None:
     pressed = np.array(depths) > 0.2
     assert pressed.sum() >= 16
     np.testing.assert_allclose(np.array(forces)[pressed], expected[pressed], rtol=0.15, atol=0.01)
-    # The last of four presses is the mean over a quarter of 1.3 mm of approach and 1.2 mm within.
-    assert max(depths) == pytest.approx(1.2 - 2.5 / 8, abs=0.08)
+    # The last of four presses is the mean over a quarter of the depth of 1.2 mm.
+    assert max(depths) == pytest.approx(1.2 - 1.2 / 8, abs=0.08)
 
 
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
@@ -445,3 +445,23 @@ def test_poses_are_of_one_kind(tmp_path: Path) -> None:
     with pytest.raises(TactorchError, match=r"pose_topic is needed.*several"):
         import_ros2(write_bag(tmp_path / "bag", topics), **BLOCK)
     check(import_ros2(tmp_path / "bag", pose_topic="/tool_pose", **BLOCK))
+
+
+def test_a_moving_frame_may_be_published_as_static_too(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    message = TFMessage()
+    moves = [(t, message([transform(t, "base", "tool", p, TOOL)])) for t, p in ROBOT.poses()]
+    same = [
+        (t, message([transform(t, "tool", "ft", (0.0, 0.0, 0.0), Rotation.identity())]))
+        for t, _ in ROBOT.poses()[:5]
+    ]
+    static = [(0.0, moves[0][1]), (0.0, same[0][1])]
+    topics = {"/tf": (TF, moves + same), "/tf_static": (TF, static)}
+    topics["/wrench"] = (WRENCH, ROBOT.wrenches())
+    with caplog.at_level(logging.WARNING):
+        check(
+            import_ros2(write_bag(tmp_path / "b", topics), frame="base", tool_frame="tool", **BLOCK)
+        )
+    assert "transform of 'tool' is in messages of a static topic" in caplog.text
+    assert "transform of 'ft'" not in caplog.text

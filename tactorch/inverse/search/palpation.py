@@ -66,6 +66,7 @@ class _Proposal(NamedTuple):
 
     start: Start
     promise: float
+    inclusion: str = ""  # name of a further one
 
 
 class _Response(NamedTuple):
@@ -130,11 +131,15 @@ class _Search:
         response = self._response(self._present)
         others = list(self._with_levels(self._present, response))
         of_errors = max(others, key=lambda proposal: proposal.promise)
-        trials = [(of_errors.start, 0.0)]
-        if (best := self._best(self._proposals(others, response, max_shapes))) is not None:
-            # Larger errors alone may explain most of what an inclusion beside them does.
-            trials.insert(0, (best, max(of_errors.promise, 0.0)))
-        for start, least in trials:
+        trials: list[tuple[Start, float]] = []
+        # Errors are linear, and an inclusion is not: its linearised gain and that of a few steps
+        # are less. One without larger errors is tried in any case.
+        for proposals in self._proposals(others, response, max_shapes):
+            best = self._best(proposals)
+            if best is not None and all(best.what != start.what for start, _ in trials):
+                # Larger errors alone may explain most of what an inclusion beside them does.
+                trials.append((best, max(of_errors.promise, 0.0)))
+        for start, least in [*trials, (of_errors.start, 0.0)]:
             trial = self._fit(start)
             change = self._gain(trial.fit, self.model.fit)
             _log.info(
@@ -155,7 +160,7 @@ class _Search:
     def _best(self, proposals: Sequence[_Proposal]) -> Start | None:
         """Return the proposal that is best after a few steps of a fit, with its parameters."""
         fit, best, most = self.model.fit, None, 0.0
-        for start, promise in proposals[:_MAX_FITS]:
+        for start, promise, _ in proposals:
             with progress_line(start.what):
                 trial = self._fit(start, max_steps=_FEW_STEPS, rival=fit)
             change = gain(trial.fit, fit)
@@ -182,8 +187,8 @@ class _Search:
 
     def _proposals(
         self, others: list[_Proposal], response: _Response, max_shapes: int
-    ) -> list[_Proposal]:
-        """Return models that may have more evidence, those that seem to have most first.
+    ) -> tuple[list[_Proposal], list[_Proposal]]:
+        """Return models that may have most evidence, and the best inclusion without larger errors.
 
         Args:
             others: The present model with each size of the smooth errors.
@@ -197,7 +202,12 @@ class _Search:
         if len(self.model.fit.field.families) < max_shapes:
             found += self._further(others, response)
         found = [proposal for proposal in found if proposal.promise > 0.0]
-        return sorted(found, key=lambda proposal: -proposal.promise)
+        found = sorted(found, key=lambda proposal: -proposal.promise)
+        each = {proposal.inclusion or proposal.start.what: proposal for proposal in found[::-1]}
+        best = [proposal for proposal in found if any(proposal is p for p in each.values())]
+        errors = self.model.errors
+        alone = [p for p in found if p.inclusion and p.start.errors == errors]
+        return best[:_MAX_FITS], alone[:1]
 
     @property
     def _present(self) -> Start:
@@ -223,8 +233,7 @@ class _Search:
 
     def _further(self, others: Sequence[_Proposal], response: _Response) -> Iterator[_Proposal]:
         """Yield the model with a further ball or rod, with each size of the smooth errors."""
-        best: dict[str, _Proposal] = {}
-        for start, promise in others:
+        for start, promise, _ in others:
             data = self.presses.data(start.errors)
             residuals, explained = data.whiten(response.residuals), data.whiten(response.jacobian)
             for ball in self._candidates(residuals, explained, data):
@@ -232,10 +241,7 @@ class _Search:
                 what, field, z = with_ball(self.model.fit, ball)
                 errors = start.errors
                 named = f"{what}{', ' * bool(start.what)}{start.what}"
-                proposal = _Proposal(Start(named, field, z, errors), expected)
-                if what not in best or best[what].promise < expected:
-                    best[what] = proposal
-        return iter(best.values())
+                yield _Proposal(Start(named, field, z, errors), expected, what)
 
     def _candidates(
         self,

@@ -1,0 +1,83 @@
+"""Magnitudes of a palpation that suggest another unit: positions, forces, depths and moduli."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from tactorch.errors import FileError
+from tactorch.importers.samples import Rows
+
+_SPAN_MM, _FORCE_N = (1.0, 1e4), (1e-3, 1e3)
+_SOFT_MPA = (1e-4, 20.0)  # apparent moduli of soft objects, from gels of 0.1 kPa to hard rubber
+_DEPTH = (0.01, 4.0)  # of a ball, over its radius
+#: Units that may have been taken for N and mm: quantity, factor.
+_UNITS = {
+    "mN": ("force", 1e-3), "kN": ("force", 1e3), "m": ("position", 1e3), "um": ("position", 1e-3),
+    "cm": ("position", 10.0),
+}  # fmt: skip
+Remedy = Callable[[str, str], str]  # how a unit of "force" or "position" is stated
+
+
+def check_rows(source: str, rows: Rows, remedy: Remedy) -> None:
+    """Refuse positions and forces that no palpation in mm and N has.
+
+    Raises:
+        FileError: A magnitude suggests another unit; names it, and the remedy.
+    """
+    centres, forces = rows.centres_mm, rows.forces_n
+    span = float(np.linalg.norm(np.ptp(centres, axis=0))) if len(centres) else 0.0
+    largest = float(np.linalg.norm(forces, axis=1).max(initial=0.0))
+    for what, value, unit, (low, high), small, large in (
+        ("positions span", span, "mm", _SPAN_MM, "m", "um"),
+        ("forces reach", largest, "N", _FORCE_N, "kN", "mN"),
+    ):
+        if not low < value < high:
+            raise _refusal(
+                source, f"{what} {value:.3g} {unit}", small if value <= low else large, remedy
+            )
+
+
+def check_contacts(
+    source: str, depth_mm: float, radius_mm: float, modulus_mpa: float, remedy: Remedy
+) -> None:
+    """Refuse depths and apparent moduli that soft objects do not have.
+
+    Args:
+        source: Name of the file, for messages.
+        depth_mm: Median depth of the ball.
+        radius_mm: Radius of the ball.
+        modulus_mpa: Median of Young's moduli of half-spaces with the forces of the probes.
+        remedy: Text that states how a unit is given.
+
+    Raises:
+        FileError: A magnitude suggests another unit; names it, and the remedy.
+    """
+    soft = _SOFT_MPA[0] < modulus_mpa < _SOFT_MPA[1]
+    fits = [
+        unit
+        for unit, (what, factor) in _UNITS.items()
+        for scale in [factor if what == "force" else factor**-1.5]
+        for depth in [depth_mm * (factor if what == "position" else 1.0)]
+        if _SOFT_MPA[0] < modulus_mpa * scale < _SOFT_MPA[1]
+        and _DEPTH[0] < depth / radius_mm < _DEPTH[1]
+    ]
+    if depth_mm > _DEPTH[1] * radius_mm and not (fits and not soft):
+        raise FileError(
+            f"'{source}': a ball of {radius_mm:.3g} mm radius is pressed in by {depth_mm:.3g} mm; "
+            "give format.radius_mm in mm, or format.check_units=false."
+        )
+    if not soft:
+        what = (
+            f"the forces at {depth_mm:.2g} mm of depth are those of a Young's modulus of "
+            f"{modulus_mpa:.2g} MPa, which no soft object has"
+        )
+        raise _refusal(source, what, fits[0] if fits else None, remedy)
+
+
+def _refusal(source: str, what: str, unit: str | None, remedy: Remedy) -> FileError:
+    stated = (
+        f"as if they were in {unit}; {remedy(_UNITS[unit][0], unit)}"
+        if unit
+        else ("in which unit are they? State it by format.units, and the ball by format.radius_mm")
+    )
+    return FileError(f"'{source}': {what}, {stated}. If they are right: format.check_units=false.")
