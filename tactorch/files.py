@@ -15,7 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from zipfile import ZipFile
 
-from tactorch import budget
+from tactorch.budget import (
+    MAX_DEPTH,
+    MAX_YAML,
+    TEXT,
+    check_archive,
+    check_depth,
+    read_content,
+    too_deep,
+    unpack,
+)
 from tactorch.errors import FileError, TactorchError
 
 if TYPE_CHECKING:
@@ -136,10 +145,10 @@ def read_arrays(
     arrays = {}
     try:
         with ZipFile(source) as archive:
-            budget.check_archive(f"{what} '{source}'", archive, copies)
+            check_archive(f"{what} '{source}'", archive, copies)
             for entry in archive.infolist():
                 # NumPy stops reading where the array ends, before the checksum is compared.
-                content = budget.unpack(archive, entry)
+                content = unpack(archive, entry)
                 arrays[entry.filename.removesuffix(".npy")] = as_array(content)
         arrays.pop("allow_pickle", None)  # written by NumPy before 2.2
     except TactorchError:
@@ -175,7 +184,7 @@ def read_json(path: str | Path, what: str, remedy: str, *keys: str) -> dict[str,
     """Read a file that holds a JSON object with at least `keys`; see `read_arrays`."""
     source = require_file(path, what)
     try:
-        content = parse_json(budget.read_content(source, budget.TEXT), f"{what} '{source}'")
+        content = parse_json(read_content(source, TEXT), f"{what} '{source}'")
     except (OSError, ValueError) as error:
         raise FileError(f"{what} '{source}' cannot be read ({error}); {remedy}") from error
     if not isinstance(content, dict):
@@ -196,8 +205,8 @@ def parse_json(text: str | bytes, source: str, error: type[TactorchError] = File
     try:
         value = json.loads(text)
     except RecursionError as cause:
-        raise budget.too_deep(source, error) from cause
-    budget.check_depth(source, value, error)
+        raise too_deep(source, error) from cause
+    check_depth(source, value, error)
     return value
 
 
@@ -216,8 +225,8 @@ def read_yaml(path: Path, what: str, error: type[TactorchError] = FileError) -> 
     import yaml
 
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    if (size := path.stat().st_size) > budget.MAX_YAML:
-        raise error(f"{what} has {size} bytes; give one of up to {budget.MAX_YAML}.")
+    if (size := path.stat().st_size) > MAX_YAML:
+        raise error(f"{what} has {size} bytes; give one of up to {MAX_YAML}.")
     try:
         text, depth = path.read_bytes(), 0
         for event in yaml.parse(text, Loader=loader):
@@ -227,8 +236,8 @@ def read_yaml(path: Path, what: str, error: type[TactorchError] = FileError) -> 
                 )
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
-            if depth > budget.MAX_DEPTH:
-                raise budget.too_deep(what, error)
+            if depth > MAX_DEPTH:
+                raise too_deep(what, error)
         return yaml.load(text, loader)
     except (yaml.YAMLError, ValueError) as cause:  # also dates and numbers that do not exist
         reason = " ".join(str(cause).split())

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactorch import budget
+from tactorch.budget import DEFLATE, TEXT, check_memory
 from tactorch.errors import FileError, TactorchError
 from tactorch.files import parse_json, require_file, write_file
 
@@ -284,13 +284,13 @@ class Hdf5Reader:
         count, item = math.prod(dataset.shape or ()), dataset.dtype.itemsize
         declared = item * max(count, math.prod(dataset.chunks or ()))
         stored = dataset.id.get_storage_size()
-        if declared > _MAX_UNSTORED_BYTES + budget.DEFLATE * stored:
+        if declared > _MAX_UNSTORED_BYTES + DEFLATE * stored:
             raise self.error(
                 f"dataset '{name}' has shape {dataset.shape}, {declared:.3g} bytes, of which the "
                 f"file holds {stored}: the shape is wrong, or the values were never written"
             )
         if returned is bytes:
-            needed = declared * budget.TEXT
+            needed = declared * TEXT
         else:
             kept = np.dtype(returned)
             needed = declared + (0 if kept == dataset.dtype else count * kept.itemsize)
@@ -299,7 +299,7 @@ class Hdf5Reader:
         others = self._read_bytes - needed
         claim += f" with others of {others:.3g} bytes" if others else ""
         source = f"{self._what} '{self.source}'"
-        budget.check_memory(source, claim, self._read_bytes, self._error_class)
+        check_memory(source, claim, self._read_bytes, self._error_class)
 
     def _values(self, name: str, dataset: "h5py.Dataset", returned: type) -> Any:
         self._check_size(name, dataset, returned)

@@ -11,11 +11,11 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from tactorch import files
 from tactorch.budget import check_references
 from tactorch.config.targets import TARGET
 from tactorch.config.values import leaves
 from tactorch.errors import ConfigError, FileError
+from tactorch.files import read_yaml
 
 PACKAGE = "tactorch.conf"
 EXPERIMENT = "experiment"
@@ -54,7 +54,7 @@ def add_presets(
 
 
 def _add_preset(path: Path, group: dict[str, Any], describe: Callable[[str], Entry]) -> None:
-    values, options = read_yaml(path), group["options"]
+    values, options = read_table(path), group["options"]
     values.pop(TARGET, None)  # an option already, of the name of the file
     inherited, overrides = _read_defaults(values.pop("defaults", ()), path)
     component = inherited
@@ -107,7 +107,7 @@ def read_experiments(
     tops = {entry["name"].split(".")[0] for entry in settings} | set(groups)
     experiments = {}
     for path in sorted((folder / EXPERIMENT).glob("*.yaml")):
-        values = read_yaml(path)
+        values = read_table(path)
         _, overrides = _read_defaults(values.pop("defaults", ()), path)
         if {*values, *overrides} <= tops:
             text = _leading_comment(path)
@@ -128,7 +128,7 @@ def check_plain(folder: Path) -> None:
     for path in sorted(folder.rglob("*.yaml")):
         is_hydra = path.relative_to(folder).parts[0] == "hydra"
         is_hydra = is_hydra or b"@package hydra" in path.read_bytes()
-        values = read_yaml(path)
+        values = read_table(path)
         if path.parent.parent == folder:  # an option of a group, whose package has to be trusted
             values.pop(TARGET, None)
         programs = list(_programs(values))
@@ -155,9 +155,9 @@ def _programs(value: Any, is_name: bool = False) -> Iterator[str]:
         yield value
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
+def read_table(path: Path) -> dict[str, Any]:
     """Return the table in a YAML file."""
-    content = files.read_yaml(path, f"'{path}'", ConfigError)
+    content = read_yaml(path, f"'{path}'", ConfigError)
     if not isinstance(content, dict | None):
         raise ConfigError(f"'{path}' does not hold a table of settings; write KEY: VALUE lines.")
     return {str(key): value for key, value in (content or {}).items()}

@@ -120,7 +120,7 @@ class Schema:
                 if path.stem in self.options(group):
                     raise ConfigError(f"'{path}' has the name of an option of tactorch; rename it.")
         for path in sorted(folder.glob("*/*.yaml")):
-            if TARGET in (values := presets.read_yaml(path)):
+            if TARGET in (values := presets.read_table(path)):
                 described = _describe_target(self.command, path, values[TARGET])
                 # Other commands read the settings of runs that have it.
                 if path.parent.name in self.groups:

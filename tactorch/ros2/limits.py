@@ -11,7 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from tactorch import budget
+from tactorch.budget import check_memory, max_bytes
 from tactorch.errors import FileError
 from tactorch.files import read_yaml
 
@@ -35,12 +35,12 @@ def limited(source: Path) -> Iterator[None]:
         _check_database(database)
 
     def unpack(decompressor: Any, data: bytes, size: float) -> bytes:
-        budget.check_memory(f"bag '{source}'", "a part of it, unpacked,", size)
+        check_memory(f"bag '{source}'", "a part of it, unpacked,", size)
         content: bytes = decompressor.decompress(data, int(size) + 1)  # what is longer is refused
         return content
 
     def message(data: bytes) -> bytes:
-        return unpack(zstd.ZstdDecompressor(), data, budget.max_bytes())
+        return unpack(zstd.ZstdDecompressor(), data, max_bytes())
 
     by_name = {
         "lz4": lambda data, size: unpack(lz4.LZ4FrameDecompressor(), data, size),

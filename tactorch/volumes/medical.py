@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from tactorch import budget
+from tactorch.budget import DEFLATE, check_deflated, check_memory, check_stored, gunzip
 from tactorch.errors import ConfigError, FileError, TactorchError
 
 _log = logging.getLogger(__name__)
@@ -81,13 +81,13 @@ def _open_nifti(source: Path) -> Any:
     voxels, item = math.prod(map(int, header.get_data_shape())), header.get_data_dtype().itemsize
     claim = f"voxels of shape {header.get_data_shape()} and {header.get_data_dtype()}"
     content = voxels * item + max(int(header["vox_offset"]), 0)
-    budget.check_stored(source, claim, content / (budget.DEFLATE if is_packed else 1))
+    check_stored(source, claim, content / (DEFLATE if is_packed else 1))
     scaled = 8 if header.get_slope_inter() != (None, None) else 0
     kept = voxels * (item + scaled + LABEL_BYTES)
-    budget.check_memory(source, claim, kept + content * is_packed)
+    check_memory(source, claim, kept + content * is_packed)
     if not is_packed:
         return nib.load(source)
-    return kind.from_stream(budget.gunzip(source, kept))
+    return kind.from_stream(gunzip(source, kept))
 
 
 def read_segmentation(
@@ -118,7 +118,7 @@ def read_segmentation(
             if (geometry := segments.get_volume_geometry()) is not None:  # else an error follows
                 shape = tuple(map(int, geometry.spatial_shape))
                 needed = 2 * LABEL_BYTES * math.prod(shape) + source.stat().st_size
-                budget.check_memory(source, f"a volume of {shape} voxels", needed)
+                check_memory(source, f"a volume of {shape} voxels", needed)
             volume = segments.get_volume(combine_segments=True)
             names = {
                 int(number): str(segments.get_segment_description(number).segment_label)
@@ -147,7 +147,7 @@ def _check_deflated(source: Path) -> None:
         filereader.read_preamble(file, force=False)
         meta = filereader._read_file_meta_info(file)
         if meta.get("TransferSyntaxUID") == uid.DeflatedExplicitVRLittleEndian:
-            budget.check_deflated(source, file)
+            check_deflated(source, file)
 
 
 def _apart(image: Any) -> float:

@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from tactorch import budget
+from tactorch.budget import read_content
 from tactorch.errors import ConfigError, FileError, TactorchError
 from tactorch.files import as_array, read_arrays, require_file
 from tactorch.volumes.medical import LABEL_BYTES, read_nifti, read_segmentation
@@ -129,7 +129,7 @@ def _read_arrays(
     """Read an array of labels and the place of its voxels from .npz or .npy."""
     if kind == "npy":
         try:
-            arrays = {"labels": as_array(budget.read_content(source, 1 + LABEL_BYTES))}
+            arrays = {"labels": as_array(read_content(source, 1 + LABEL_BYTES))}
         except TactorchError:
             raise
         except Exception as error:  # errors of damaged files have no common base
