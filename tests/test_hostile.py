@@ -431,13 +431,6 @@ ATTACKS: list[tuple[str, str, Callable[[Path], Path]]] = [
              + "\0" * 36, "a.ply"),
     ),
 ]  # fmt: skip
-#: Attacks on readers of meshes that are not refused yet, or only for want of memory.
-PENDING = {
-    ("mesh", "sparse tag"), ("mesh", "nodes"), ("mesh", "generated set"),
-    ("mesh", "includes a device"), ("mesh", "includes itself"),
-    ("surface", "faces"), ("surface", "faces (binary)"),
-}  # fmt: skip
-
 #: Content that expands only where values that are the same are copied: read within the limits.
 SHARED = {("table", "long text in each row")}
 
@@ -448,8 +441,6 @@ SHARED = {("table", "long text in each row")}
 def test_attacks(
     reader: str, attack: str, make: Callable[[Path], Path], ask: Ask, tmp_path: Path
 ) -> None:
-    if (reader, attack) in PENDING:
-        pytest.skip("the readers of these meshes have no limits yet")
     path = make(tmp_path)
     outcome, message, seconds, mib = ask(reader, path)
     assert mib < MEMORY_MIB
@@ -566,8 +557,6 @@ VALID: list[tuple[str, Callable[[Path], Path]]] = [
     *(("surface", valid_mesh(suffix)) for suffix in (".stl", ".obj", ".ply")),
     ("vtk", valid_mesh(".vtu")),
 ]
-#: Readers without limits yet; damage at random may make them allocate or loop without end.
-UNLIMITED = {".msh", ".inp", ".ply"}
 QUICK, FULL = 10, 100
 
 
@@ -606,8 +595,6 @@ def test_damage(amount: int, ask: Ask, tmp_path: Path, record_property: Any) -> 
         folder = tmp_path / str(number)
         folder.mkdir()
         path = make(folder)
-        if path.suffix in UNLIMITED:
-            continue
         content, rng = path.read_bytes(), np.random.default_rng(number)
         for attempt in range(amount):
             path.write_bytes(damaged(content, rng))

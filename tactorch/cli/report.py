@@ -22,6 +22,7 @@ from tactorch.config import option, to_mapping
 from tactorch.errors import ConfigError, TactorchError
 from tactorch.inverse.fit.settings import has_all_settings
 from tactorch.report import Run, load_run, run_names, runs_in, write_report
+from tactorch.report.assessment import is_solved_again
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +65,7 @@ def run(options: ReportOptions) -> Path:
     if options.out is None:
         check_file(out, options.overwrite)
     runs = [with_settings(run) for run in runs]
-    complete = [run for run in runs if run.recording is not None]
+    complete = [run for run in runs if is_solved_again(run)]
     if options.uncertainty and complete:
         log.info(
             "Solving the presses again for the uncertainty of the map (%s elements); "

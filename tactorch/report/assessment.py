@@ -10,6 +10,7 @@ from jaxtyping import Float
 from tactorch.errors import UNCOMPUTABLE
 from tactorch.inverse import settings_from
 from tactorch.inverse.data.observations import Observation
+from tactorch.inverse.forward.palpation import is_palpation
 from tactorch.inverse.forward.predictions import observed_data
 from tactorch.inverse.invert import solution
 from tactorch.inverse.posterior import GaussianPosterior, credibility, posterior_at
@@ -22,6 +23,7 @@ from tactorch.report.runs import Run
 ProgressCallback = Callable[[str, int, int], None]
 
 _STEPS = ("presses at the result", "credibility", "posterior", "intervals", "done")
+_NO_DISPLACEMENTS = "a palpation has no observed displacements"
 _AT_BOUND = 0.01  # relative distance below which a modulus is at a bound
 _log = logging.getLogger("tactorch")
 
@@ -39,7 +41,9 @@ def assess(
     if run.recording is None:
         return RunReport(run, _known(run), missing=run.missing)
     fits, reason = _fits(run, run.recording), "switched off"
-    if uncertainty:
+    if not is_solved_again(run):
+        reason = _NO_DISPLACEMENTS
+    elif uncertainty:
         try:
             report = _assess(run, run.recording, progress or (lambda *_: None))
             return replace(report, fits=fits)
@@ -47,6 +51,15 @@ def assess(
             reason = str(error) or "not enough memory"
             _log.warning("%s: no uncertainty: %s", run.name, reason)
     return RunReport(run, _known(run), fits=fits, missing=reason)
+
+
+def is_solved_again(run: Run) -> bool:
+    """Return whether the presses of a run are solved again for its uncertainty.
+
+    Inclusions have their posterior, and a palpation has no displacements, nor their credibility.
+    """
+    recording = run.recording
+    return recording is not None and not (run.result.shapes and is_palpation(recording))
 
 
 def _known(run: Run) -> UncertaintySummary | None:
@@ -63,7 +76,7 @@ def _assess(run: Run, recording: Recording, progress: ProgressCallback) -> RunRe
     result = run.result
     point = solution(recording, result, run.settings or settings_from(result.config))
     step(1)
-    metric = credibility(point.evaluation)
+    metric = None if is_palpation(recording) else credibility(point.evaluation)
     step(2)
     if result.shapes is not None:
         known = _known(run)
@@ -74,7 +87,8 @@ def _assess(run: Run, recording: Recording, progress: ProgressCallback) -> RunRe
         known = _of_elements(posterior, point.youngs)
         run = replace(run, result=result.with_posterior(recording, posterior))
     step(4)
-    return RunReport(run, replace(known, credibility=metric))
+    missing = _NO_DISPLACEMENTS if metric is None else ""
+    return RunReport(run, replace(known, credibility=metric), missing=missing)
 
 
 def _of_elements(

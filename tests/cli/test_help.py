@@ -9,7 +9,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from tactorch.cli import COMMANDS, GROUPS, VERBS
-from tactorch.cli.presets import EXPERIMENT, conf_folder, read_yaml
+from tactorch.cli.presets import EXPERIMENT, conf_folder, read_table
 from tactorch.cli.schema import load_schema
 
 
@@ -190,7 +190,7 @@ def test_help_of_a_verb_may_be_asked_for_either_way(tactorch: Any) -> None:
 
 def test_presets_are_read_as_hydra_reads_them() -> None:
     for path in conf_folder().rglob("*.yaml"):
-        assert read_yaml(path) == OmegaConf.to_container(OmegaConf.load(path)), path
+        assert read_table(path) == OmegaConf.to_container(OmegaConf.load(path)), path
 
 
 def test_the_schema_is_stored_and_renewed_when_the_code_changes(

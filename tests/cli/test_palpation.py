@@ -60,8 +60,10 @@ def test_a_palpation_becomes_a_map_a_finding_and_a_report(
     assert np.linalg.norm(np.array(lump["center_mm"][:2]) - STIFF) < 2.0
     assert lump["depth_90_mm"][0] < lump["depth_mm"] < lump["depth_90_mm"][1]
     assert (run / "slices.png").exists()
-    done = tactorch("report", str(run), "uncertainty=false")
+    done = tactorch("report", str(run))
     assert done.status == 0, done.err
+    assert "Solving the presses again" not in done.out
+    assert "no uncertainty" not in done.out
     page = (run / "report.html").read_text()
     assert "Presses of the largest residuals, of 108" in page
     assert ">nan<" not in page
@@ -70,3 +72,4 @@ def test_a_palpation_becomes_a_map_a_finding_and_a_report(
     # Figures of displacements, of which a palpation has none, would stop the page's script.
     assert 'id="press"' not in page
     assert "no observed displacements to draw" in page
+    assert "Omitted: credibility (a palpation has no observed displacements)." in page
