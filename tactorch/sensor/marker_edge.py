@@ -14,15 +14,16 @@ from jaxtyping import Bool, Float
 _RAYS = 48
 _STEP_PX = 0.7  # of the samples on a ray
 _REACH = 1.5  # length of a ray, in radii
+_NO_EDGE_PX = 1e6
 _CHECK, _SEARCH = 3, 12  # iterations for all markers, and for those that are not clean
 _CENTER = 0.5  # prior deviation of a center, in radii
 _SHAPE = np.array([0.15, 0.1, 0.1])  # that of the radius and of the ellipse
 _MIN_SHAPE = np.array([0.03, 0.02, 0.02])  # that of markers beside which all have one shape
 _MAX_SHAPE = 3.0  # deviation from the expected shape, over the prior deviation
 _TOLERANCE, _MIN_TOLERANCE_PX = 0.08, 0.5  # of an edge from the disc, in radii
-#: Share of the rays that end at a disc's edge, from which its center is known.
-MIN_EDGE = 0.55
-_CLEAN = 0.92  # share of these rays of a disc beside which nothing is
+#: Share of the rays that end at the edge of a disc beside which nothing is.
+CLEAN = 0.92
+_MIN_EDGE = 0.55  # this share, from which the center is known
 _MAX_GAP = 0.5  # of the circle without an edge: half a circle determines its center
 _SIMILAR = 0.15  # difference of such shares below which discs fit as well
 _MAX_MOVE = 1.3  # of a center in a fit, in radii
@@ -45,9 +46,10 @@ class MarkerDiscs:
     Attributes:
         centers: Centers (column, row), px.
         shape: Deviation of radius and ellipse from those expected, in radii.
-        edges: Distance of the edge from the center on each ray, px; NaN where there is none.
+        edges: Distance of the edge from the center on each ray, px; infinite where there is none,
+            NaN outside the image.
         deviation_px: Median deviation of the edge from the fitted one.
-        share: Share of the rays that end at the fitted edge.
+        share: Share of the rays in the image that end at the fitted edge.
         known: Whether this edge is long enough to determine the center.
     """
 
@@ -61,7 +63,7 @@ class MarkerDiscs:
     @property
     def clean(self) -> Bool[np.ndarray, " n"]:
         """Whether nearly all of the edge is that of the disc."""
-        return np.asarray(self.known & (self.share >= _CLEAN))
+        return np.asarray(self.known & (self.share >= CLEAN))
 
 
     def joined(self, other: "MarkerDiscs") -> "MarkerDiscs":
@@ -140,30 +142,30 @@ def _fit(
     prior = ((0.5 * tolerance / radius) ** 2)[:, None, None] * np.diag(deviation**-2)
     for iteration in range(iterations):
         excess = _edges(darkness, now, radius, threshold) - outline
+        excess = np.nan_to_num(excess, nan=_NO_EDGE_PX, posinf=_NO_EDGE_PX)
         fit[:, :2] = 0.0
         # Tukey's weights, of a scale that is tightened.
-        scale = tolerance * max(2.0, 6.0 - iteration)
+        scale = tolerance * max(1.2, 6.0 - iteration)
         for _ in range(3):
-            off = np.abs(np.nan_to_num(excess - fit @ _DESIGN.T, nan=np.inf)) / scale
+            off = np.abs(excess - fit @ _DESIGN.T) / scale
             weight = np.maximum(1 - off**2, 0.0) ** 2
             normal = (weight @ _PRODUCTS).reshape(-1, 5, 5) + prior
-            rhs = (weight * np.nan_to_num(excess)) @ _DESIGN
+            rhs = (weight * excess) @ _DESIGN
             fit = np.linalg.solve(normal, rhs[..., None])[..., 0]
         now = now + np.clip(fit[:, :2], -0.3 * radius[:, None], 0.3 * radius[:, None])
     edges, shape = _edges(darkness, now, radius, threshold), fit[:, 2:] / radius[:, None]
     off = np.abs(edges - outline - fit[:, 2:] @ _DESIGN[:, 2:].T)
-    off = np.where(np.isnan(off), _REACH * radius[:, None], off)
-    expected, at_edge = np.isfinite(outline), off < tolerance
+    at_edge, expected = off < tolerance, ~np.isnan(off)
     share = at_edge.sum(axis=1) / np.maximum(expected.sum(axis=1), 1)
-    known = (share >= MIN_EDGE) & (_largest_gap(at_edge) <= _MAX_GAP)
+    known = (share >= _MIN_EDGE) & (_largest_gap(at_edge) <= _MAX_GAP)
     known &= (np.abs(shape) < _MAX_SHAPE * shape_deviation).all(axis=1)
     known &= np.linalg.norm(now - centers, axis=1) < _MAX_MOVE * radius
-    typical = np.nanmedian(np.where(expected, off, np.nan), axis=1)
+    typical = np.median(np.where(expected, off, np.inf), axis=1)
     return MarkerDiscs(now, shape, edges, typical, share, known)
 
 
 def _edges(darkness: np.ndarray, centers: Points, radius: np.ndarray, threshold: float) -> Edges:
-    """Distance of the first edge on each ray; NaN where there is none, or outside the image."""
+    """Distance of the first edge on each ray; infinite if there is none, NaN outside the image."""
     count = int(np.ceil(_REACH * radius.max(initial=1.0) / _STEP_PX)) + 1
     along = np.arange(count) * _STEP_PX
     maps = (
@@ -181,7 +183,8 @@ def _edges(darkness: np.ndarray, centers: Points, radius: np.ndarray, threshold:
     after, before = (np.take_along_axis(values, first - k, axis=2)[..., 0] for k in (0, 1))
     part = (before - level) / np.maximum(before - after, 1e-6)
     distance = (first[..., 0] - 1 + np.clip(part, 0.0, 1.0)) * _STEP_PX
-    return np.where(below.any(axis=2) & ~below[..., 0] & (after >= 0), distance, np.nan)
+    distance = np.where(below.any(axis=2) & ~below[..., 0], distance, np.inf)
+    return np.where(after < 0, np.nan, distance)
 
 
 def _largest_gap(at_edge: Bool[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:

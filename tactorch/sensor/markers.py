@@ -17,7 +17,7 @@ from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Image
-from tactorch.sensor.marker_edge import MIN_EDGE, MarkerDiscs, circles, fit_discs
+from tactorch.sensor.marker_edge import CLEAN, MarkerDiscs, circles, fit_discs
 from tactorch.sensor.marker_match import (
     LOST_COST,
     SIMILAR_COST,
@@ -34,7 +34,9 @@ _FLOW_LEVELS = 3
 _JUMP = 0.25  # of a spacing between frames, above which identities are checked
 _DOUBT = 0.04  # of the markers lost or spots left over, above which identities are checked
 _ROUND = 0.85  # share of round spots, from which spots that are not are dirt, or partly covered
-_EDGE_PX = 0.3  # difference of position by patch and by edge that is not noise
+_MIN_UNLIKE_PX = 0.3  # difference of a position from that of the edge which is not noise
+# Starts of fits about a spot that is no disc, in radii.
+_AROUND = 0.7 * np.array([(0, 0), (1, 0), (0.5, 0.9), (-0.5, 0.9), (-1, 0), (-0.5, -0.9), (0.5, -0.9)])
 _FOUND = 0.7  # share of the edge of a marker without a spot
 _TOTAL_DEVIATION = 2.5  # limit for the total displacement, over that for the step between frames
 
@@ -149,13 +151,16 @@ def _detect(darkness: _Darkness, appearance: MarkerAppearance) -> tuple[_Points,
     spots = _centroids(darkness, labels, threshold)
     areas = np.bincount(labels.ravel())[1:]
     size = float(np.sqrt(np.median(areas[areas > 0]) / np.pi)) if len(spots) else 0.0
-    discs, _ = fit_discs(darkness, spots, circles(size, len(spots)), threshold)
+    discs, tolerance = fit_discs(darkness, spots, circles(size, len(spots)), threshold)
     clean = discs.clean
-    if clean.all() or clean.mean() < _ROUND:
+    if not len(spots) or clean.mean() < _ROUND:
         return spots, discs, 0
+    off = np.linalg.norm(discs.centers - spots, axis=1)
+    spots = np.where((clean & (off > _unlike(tolerance)))[:, None], discs.centers, spots)
     # Parts of spots that are no discs, and of spots too large for a marker, may be.
     size *= 1 + float(np.median(discs.shape[clean, 0]))
-    seeds = np.concatenate([spots[~clean], _inner_points(mask, size)])
+    around = spots[~clean][:, None] + _AROUND * size
+    seeds = np.concatenate([around.reshape(-1, 2), _inner_points(mask, size)])
     seeds = seeds[cKDTree(spots[clean]).query(seeds)[0] > size]
     starts = np.concatenate([spots[clean], seeds])  # by the others, it is known what is usual
     parts, _ = fit_discs(darkness, starts, circles(size, len(starts)), threshold)
@@ -164,6 +169,11 @@ def _detect(darkness: _Darkness, appearance: MarkerAppearance) -> tuple[_Points,
     left_out = int((cKDTree(places).query(spots[~clean])[0] > 2 * size).sum())
     order = np.lexsort(places.T)
     return places[order], discs.select(clean).joined(parts).select(order), left_out
+
+
+def _unlike(tolerance_px: float) -> float:
+    """Difference of a position from that of the edge which is not noise, px."""
+    return max(_MIN_UNLIKE_PX, 0.5 * tolerance_px)
 
 
 def _inner_points(mask: Bool[np.ndarray, "h w"], size_px: float) -> _Points:
@@ -284,10 +294,12 @@ class MarkerTracker:
         self.ambiguous = np.zeros(len(self.reference_px), dtype=bool)
         self.covered = self.ambiguous.copy()
         # Edges that are not seen in the reference are not expected in frames.
-        edges = np.isfinite(self._discs.edges)
-        self._checked = edges.mean(axis=1) >= MIN_EDGE
-        radius = self.appearance.diameter_px / 2
-        self._outline = np.where(self._checked[:, None], self._discs.edges, radius)
+        edges = self._discs.edges
+        self._checked = np.isfinite(edges).mean(axis=1) >= CLEAN
+        edges = np.where(np.isfinite(edges), edges, np.nan)
+        self._outline = np.where(
+            self._checked[:, None], edges, self.appearance.diameter_px / 2
+        )
         self.reassigned = False
         self._previous_px = self.reference_px.copy()  # measured, or predicted for lost markers
         self._previous_image = self.reference
@@ -358,15 +370,19 @@ class MarkerTracker:
         starts = np.where(seen[:, None], positions, predicted)
         discs, tolerance = fit_discs(darkness, starts, self._outline, threshold, predicted)
         by_edge = self.reference_px + discs.centers - self._discs.centers
-        off = np.linalg.norm(by_edge - np.where(seen[:, None], positions, predicted), axis=1)
-        differs = off > max(_EDGE_PX, 0.5 * tolerance)
+        off = np.linalg.norm(by_edge - starts, axis=1)
+        noise = float(np.median(off[seen & discs.clean & self._checked]))
+        differs = self._checked & (off > max(_unlike(tolerance), 4 * noise))
         if discs.clean[self._checked].mean() < _ROUND:  # nothing is known of single markers
             return positions
         hidden = seen & ~discs.known & self._checked
-        found = ~seen & ~self.ambiguous & discs.known & (discs.share >= _FOUND)
+        found = ~seen & ~self.ambiguous & self._checked & discs.known & (discs.share >= _FOUND)
         found &= off < self.options.max_deviation * self.spacing_px
         measured = found | (seen & discs.known & differs)
-        self.covered = hidden | measured
+        column, row = np.nan_to_num(predicted).round().astype(int).T
+        inside = self._grid.inside(predicted)
+        dark = inside & (darkness[np.where(inside, row, 0), np.where(inside, column, 0)] > threshold)
+        self.covered = hidden | measured | (~seen & dark & ~self.ambiguous)
         positions = np.where(measured[:, None], by_edge, positions)
         return np.where(hidden[:, None], np.nan, positions)
 
