@@ -291,8 +291,7 @@ class MarkerTracker:
         gate = self.options.gate
         self._grid = Grid(self.reference_px, self.neighbors, self.spacing_px, size_px, gate)
         self._confirmed_cost = 0.0  # cost of the last assignment that was confirmed
-        self.ambiguous = np.zeros(len(self.reference_px), dtype=bool)
-        self.covered = self.ambiguous.copy()
+        self.ambiguous, self.covered, self._lost = np.zeros((3, len(self.reference_px)), dtype=bool)
         # Edges that are not seen in the reference are not expected in frames.
         edges = self._discs.edges
         self._checked = np.isfinite(edges).mean(axis=1) >= CLEAN
@@ -304,12 +303,25 @@ class MarkerTracker:
         self._previous_px = self.reference_px.copy()  # measured, or predicted for lost markers
         self._previous_image = self.reference
 
+    @property
+    def fault(self) -> str:
+        """Description of the markers of the last frame that are not distinguished, or covered."""
+        unsure, covered = int(self.ambiguous.sum()), int(self.covered.sum())
+        lost = int((self.covered & self._lost).sum())
+        parts = [f"{unsure} of {len(self.ambiguous)} markers cannot be distinguished"] * (unsure > 0)
+        if covered:
+            parts.append(
+                f"{covered} of {len(self.covered)} markers are partly covered or beside dirt,"
+                f" {lost} of them dropped"
+            )
+        return "; ".join(parts)
+
     def track(self, image: Image | None) -> Float[np.ndarray, "n 2"]:
         """Return the markers in the next rectified frame (column, row); NaN for those not seen.
 
         No marker is seen in a missing frame, None.
         """
-        self.covered = np.zeros(len(self.reference_px), dtype=bool)
+        self.ambiguous, self.covered, self._lost = np.zeros((3, len(self.reference_px)), dtype=bool)
         if image is None:
             return np.full(self.reference_px.shape, np.nan)
         if image.shape != self.reference.shape:
@@ -335,7 +347,7 @@ class MarkerTracker:
         positions = self._refine(positions, darkness)
         positions = self._check_edges(positions, fallback, darkness, threshold)
         self._previous_px = np.where(np.isnan(positions), fallback, positions)
-        self._previous_image = image
+        self._previous_image, self._lost = image, np.isnan(positions[:, 0])
         return positions
 
     def _check_identities(self, positions: _Points, spots: _Points) -> _Points:
