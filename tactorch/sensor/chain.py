@@ -104,13 +104,13 @@ class Measurement:
         height: Height map of the face; None without an image.
         depth_mm: Depth of the face; NaN without an image.
         max_slope: Largest slope of the face; NaN without an image.
-        light_error_mm: Standard deviation of the depth from a change of the light.
         displacement: Displacements of the nodes of the gel's face, mm, NaN where unknown: along
             x and y everywhere for a sensor without markers; None without contact.
         contact: Forces and displacements of the gel's face; None without contact, or before
             `SensorChain.solve_contact`.
         view: What the image shows of the contact; None without contact, or without the option
             `contact_edge_mm`.
+        light_error_mm: Error of the depth from a change of the light.
     """
 
     frame: Frame
@@ -119,10 +119,10 @@ class Measurement:
     height: HeightMap | None = None
     depth_mm: float = np.nan
     max_slope: float = np.nan
-    light_error_mm: float = 0.0
     displacement: Float[np.ndarray, "k 3"] | None = None
     contact: GelContact | None = None
     view: ContactView | None = None
+    light_error_mm: float = 0.0
 
 
 class SensorChain:
@@ -185,9 +185,8 @@ class SensorChain:
         )
         depth_mm, max_slope = height.depth_mm, height.max_slope
         frame = frame.with_faults(tracked, "" if height.light is None else height.light.fault)
-        found = Measurement(
-            frame, markers_px, found.in_contact, height, depth_mm, max_slope, height.light_error_mm
-        )
+        found = replace(found, frame=frame, height=height, depth_mm=depth_mm, max_slope=max_slope)
+        found = replace(found, light_error_mm=height.light_error_mm)
         if depth_mm < self.options.min_depth_mm:
             return found
         displacement = self._face_displacement(markers_px, height)

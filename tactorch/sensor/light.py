@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 #: Unit of changes of colors, gray values.
 COLOUR_UNIT = 50.0
-_BANDWIDTH, _NARROW = 7.5, 3.0  # of the colors of pixels that are not deformed, gray values
+_BANDWIDTH, _NARROW = 7.5, 2.0  # of the colors of pixels that are not deformed, gray values
 _PIXELS = 3000  # about which are compared
 _SATURATED = 254
 _MAX_ITERATIONS = 30
@@ -23,7 +23,8 @@ _MODELS = (
     np.array([_ON, 0.1, 0.1, 0.1, _OFF]),
     np.array([_ON, _OFF, _OFF, _OFF, 20.0]),
 )
-_BETTER = 0.02  # share of the pixels that a less simple change has to explain
+# Share of the pixels that a less simple change has to explain: at least, and of those that are near.
+_BETTER, _UNEXPLAINED = 0.01, 0.12
 _NOTED, _UNCERTAIN = 0.01, 0.05  # change of a factor, and error, that are reported
 _MIN_SHARE = 0.1  # of the pixels that are not deformed
 
@@ -107,12 +108,18 @@ def light_change(image: Values, reference: Values, known: Bool[np.ndarray, "h w"
     narrow = [
         _fit(*data, model, fit.terms, _NARROW) for model, fit in zip(_MODELS, wide, strict=True)
     ]
-    scores = np.array([fit.share for fit in narrow]) - _BETTER * np.arange(len(narrow))
+    shares = np.array([fit.share for fit in narrow])
+    # Less simple changes also explain some of the colors of a gel that is slightly deformed.
+    unexplained = max(fit.share for fit in wide) - shares.max()
+    least = _BETTER + _UNEXPLAINED * unexplained
+    scores = shares - least * np.arange(len(shares))
     best = int(np.argmax(scores))
     found = narrow[best] if best else wide[0]
-    similar = [f for f, score in zip(narrow, scores, strict=True) if score > scores[best] - _BETTER]
-    apart = [np.abs(fit.terms[:, 0] - found.terms[:, 0]).max() for fit in similar]
-    return LightChange(found.terms, float(max(apart)), wide[best].share)
+    # Whether light was added is only in question where there is a factor.
+    compared = np.arange(len(_MODELS) if best else 2)
+    similar = compared[shares[compared] > shares[best] - 0.5 * least]
+    apart = [np.abs(narrow[k].terms[:, 0] - found.terms[:, 0]).max() for k in similar]
+    return LightChange(found.terms, float(max(apart, default=1.0)), wide[best].share)
 
 
 def _fit(

@@ -6,6 +6,7 @@ of a speck beside the marker or of glare on it, are outliers.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -65,7 +66,6 @@ class MarkerDiscs:
         """Whether nearly all of the edge is that of the disc."""
         return np.asarray(self.known & (self.share >= CLEAN))
 
-
     def joined(self, other: "MarkerDiscs") -> "MarkerDiscs":
         """Return these discs and other ones."""
         pairs = zip(vars(self).values(), vars(other).values(), strict=True)
@@ -102,9 +102,9 @@ def fit_discs(
 
     `outline` is the distance of the expected edge from the center on each ray; NaN where it is not
     known. The edge is where the darkness falls below half of that at the center, or below the
-    threshold. It belongs to the marker within a tolerance, px, that is returned too: it is larger where the
-    edges of most markers deviate, as those of markers that are not round. Of two discs that fit as
-    well, the one at the `predicted` center is preferred.
+    threshold. It belongs to the marker within a tolerance, px, that is returned too: it is larger
+    where the edges of most markers deviate, as those of markers that are not round. Of two discs
+    that fit as well, the one at the `predicted` center is preferred.
     """
     if not len(centers):
         nothing = np.zeros(0)
@@ -173,8 +173,10 @@ def _edges(darkness: np.ndarray, centers: Points, radius: np.ndarray, threshold:
         for k in (0, 1)
     )
     x, y = (values.reshape(-1, _RAYS * count) for values in maps)
-    border: dict[str, float] = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": -1.0}
-    values = cv2.remap(darkness.astype(np.float32), x, y, cv2.INTER_LINEAR, **border)
+    values: Any = cv2.remap(
+        darkness.astype(np.float32), x, y, cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT, borderValue=-1.0,
+    )  # fmt: skip
     values = values.reshape(-1, _RAYS, count)
     core = np.where((along < 0.5 * radius[:, None])[:, None], values, np.nan)
     level = np.maximum(0.5 * np.nanmedian(core, axis=(1, 2)), threshold)[:, None]

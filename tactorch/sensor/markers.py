@@ -34,9 +34,12 @@ _FLOW_LEVELS = 3
 _JUMP = 0.25  # of a spacing between frames, above which identities are checked
 _DOUBT = 0.04  # of the markers lost or spots left over, above which identities are checked
 _ROUND = 0.85  # share of round spots, from which spots that are not are dirt, or partly covered
+_ONE_SIZE = 0.1  # deviation of radii up to which markers are of one size
 _MIN_UNLIKE_PX = 0.3  # difference of a position from that of the edge which is not noise
 # Starts of fits about a spot that is no disc, in radii.
-_AROUND = 0.7 * np.array([(0, 0), (1, 0), (0.5, 0.9), (-0.5, 0.9), (-1, 0), (-0.5, -0.9), (0.5, -0.9)])
+_AROUND = 0.7 * np.array(
+    [(0, 0), (1, 0), (0.5, 0.9), (-0.5, 0.9), (-1, 0), (-0.5, -0.9), (0.5, -0.9)]
+)
 _FOUND = 0.7  # share of the edge of a marker without a spot
 _TOTAL_DEVIATION = 2.5  # limit for the total displacement, over that for the step between frames
 
@@ -153,7 +156,9 @@ def _detect(darkness: _Darkness, appearance: MarkerAppearance) -> tuple[_Points,
     size = float(np.sqrt(np.median(areas[areas > 0]) / np.pi)) if len(spots) else 0.0
     discs, tolerance = fit_discs(darkness, spots, circles(size, len(spots)), threshold)
     clean = discs.clean
-    if not len(spots) or clean.mean() < _ROUND:
+    if not clean.any() or clean.mean() < _ROUND:
+        return spots, discs, 0
+    if np.percentile(np.abs(discs.shape[clean, 0]), 75) > _ONE_SIZE:
         return spots, discs, 0
     off = np.linalg.norm(discs.centers - spots, axis=1)
     spots = np.where((clean & (off > _unlike(tolerance)))[:, None], discs.centers, spots)
@@ -296,9 +301,7 @@ class MarkerTracker:
         edges = self._discs.edges
         self._checked = np.isfinite(edges).mean(axis=1) >= CLEAN
         edges = np.where(np.isfinite(edges), edges, np.nan)
-        self._outline = np.where(
-            self._checked[:, None], edges, self.appearance.diameter_px / 2
-        )
+        self._outline = np.where(self._checked[:, None], edges, self.appearance.diameter_px / 2)
         self.reassigned = False
         self._previous_px = self.reference_px.copy()  # measured, or predicted for lost markers
         self._previous_image = self.reference
@@ -308,10 +311,12 @@ class MarkerTracker:
         """Description of the markers of the last frame that are not distinguished, or covered."""
         unsure, covered = int(self.ambiguous.sum()), int(self.covered.sum())
         lost = int((self.covered & self._lost).sum())
-        parts = [f"{unsure} of {len(self.ambiguous)} markers cannot be distinguished"] * (unsure > 0)
+        parts, count = [], len(self.ambiguous)
+        if unsure:
+            parts.append(f"{unsure} of {count} markers cannot be distinguished")
         if covered:
             parts.append(
-                f"{covered} of {len(self.covered)} markers are partly covered or beside dirt,"
+                f"{covered} of {count} markers are partly covered or beside dirt,"
                 f" {lost} of them dropped"
             )
         return "; ".join(parts)
@@ -378,25 +383,25 @@ class MarkerTracker:
         A marker without enough of its edge is dropped. A marker without a spot may be part of a
         larger one.
         """
-        seen = np.isfinite(positions[:, 0])
+        seen, checked = np.isfinite(positions[:, 0]), self._checked
         starts = np.where(seen[:, None], positions, predicted)
         discs, tolerance = fit_discs(darkness, starts, self._outline, threshold, predicted)
+        usual = checked & seen & discs.clean
+        if usual.sum() <= _ROUND * (checked & seen).sum():  # nothing is known of single markers
+            return positions
         by_edge = self.reference_px + discs.centers - self._discs.centers
         off = np.linalg.norm(by_edge - starts, axis=1)
-        noise = float(np.median(off[seen & discs.clean & self._checked]))
-        differs = self._checked & (off > max(_unlike(tolerance), 4 * noise))
-        if discs.clean[self._checked].mean() < _ROUND:  # nothing is known of single markers
-            return positions
-        hidden = seen & ~discs.known & self._checked
-        found = ~seen & ~self.ambiguous & self._checked & discs.known & (discs.share >= _FOUND)
+        differs = off > max(_unlike(tolerance), 4 * float(np.median(off[usual])))
+        found = ~seen & ~self.ambiguous & checked & discs.known & (discs.share >= _FOUND)
         found &= off < self.options.max_deviation * self.spacing_px
-        measured = found | (seen & discs.known & differs)
-        column, row = np.nan_to_num(predicted).round().astype(int).T
-        inside = self._grid.inside(predicted)
-        dark = inside & (darkness[np.where(inside, row, 0), np.where(inside, column, 0)] > threshold)
+        measured = found | (seen & checked & discs.known & differs)
+        hidden = seen & checked & ~discs.known
+        column, row = (
+            predicted.round().astype(int).T.clip(0, np.array([darkness.shape[::-1]]).T - 1)
+        )
+        dark = self._grid.inside(predicted) & (darkness[row, column] > threshold)
         self.covered = hidden | measured | (~seen & dark & ~self.ambiguous)
-        positions = np.where(measured[:, None], by_edge, positions)
-        return np.where(hidden[:, None], np.nan, positions)
+        return np.where(hidden[:, None], np.nan, np.where(measured[:, None], by_edge, positions))
 
     def _flow(self, image: Image) -> _Points:
         """Pyramidal Lucas-Kanade flow (Bouguet, 2001), smoothed over the neighbors."""

@@ -40,7 +40,8 @@ def run(cfg: ReconstructSettings) -> Path:
             deviation from a change of the light, mm.
         """
         if frame.image is None:
-            return without_image(frame), *([float("nan")] * 4)
+            nan = float("nan")
+            return without_image(frame), nan, nan, nan, nan
         height = calibration.height(
             frame.image, frames.reference, depth=cfg.depth, min_slope=cfg.min_slope
         )
@@ -50,10 +51,12 @@ def run(cfg: ReconstructSettings) -> Path:
         if frame.time_s is not None:
             arrays["time_s"] = np.array(frame.time_s)
         write_arrays(files.folder / _map_name(frame), arrays, compressed=True)
-        assert (light := height.light) is not None
+        light = height.light
+        assert light is not None
         changed.append(light.changed)
-        values = float(contact.sum() * pixel_mm2), light.factor, height.light_error_mm
-        return without_image(frame, light.fault), height.depth_mm, *values
+        area, depth = float(contact.sum() * pixel_mm2), height.depth_mm
+        stored = without_image(frame, light.fault)
+        return stored, depth, area, light.factor, height.light_error_mm
 
     results = frames.process("reconstructing depth", reconstruct)
     measured, *columns = map(list, zip(*results, strict=True))
