@@ -23,8 +23,10 @@ _MODELS = (
     np.array([_ON, 0.1, 0.1, 0.1, _OFF]),
     np.array([_ON, _OFF, _OFF, _OFF, 20.0]),
 )
-# Share of the pixels that a less simple change has to explain: at least, and of those that are near.
+# Share of pixels that a less simple change has to explain: at least, and of those not explained.
 _BETTER, _UNEXPLAINED = 0.01, 0.12
+_COMPLEXITY = np.array([0.0, 1.0, 1.5, 1.5])
+_MAX_ADDED = 30.0  # with a factor, gray values; else position and factor can hardly be separated
 _NOTED, _UNCERTAIN = 0.01, 0.05  # change of a factor, and error, that are reported
 _MIN_SHARE = 0.1  # of the pixels that are not deformed
 
@@ -112,13 +114,16 @@ def light_change(image: Values, reference: Values, known: Bool[np.ndarray, "h w"
     # Less simple changes also explain some of the colors of a gel that is slightly deformed.
     unexplained = max(fit.share for fit in wide) - shares.max()
     least = _BETTER + _UNEXPLAINED * unexplained
-    scores = shares - least * np.arange(len(shares))
+    shares[-1] *= np.abs(narrow[-1].terms[:, -1]).max() < _MAX_ADDED
+    scores = shares - least * _COMPLEXITY
     best = int(np.argmax(scores))
     found = narrow[best] if best else wide[0]
-    # Whether light was added is only in question where there is a factor.
-    compared = np.arange(len(_MODELS) if best else 2)
-    similar = compared[shares[compared] > shares[best] - 0.5 * least]
-    apart = [np.abs(narrow[k].terms[:, 0] - found.terms[:, 0]).max() for k in similar]
+    simple = np.arange(len(shares)) < 2  # further ones explain more of a gel that is deformed
+    similar = scores > scores[best] - 0.5 * least
+    similar |= (shares > shares[best] - least) & (simple | bool(best))
+    apart = [
+        np.abs(narrow[k].terms[:, 0] - found.terms[:, 0]).max() for k in np.flatnonzero(similar)
+    ]
     return LightChange(found.terms, float(max(apart, default=1.0)), wide[best].share)
 
 

@@ -97,6 +97,7 @@ def fit_discs(
     outline: Edges,
     threshold: float,
     predicted: Points | None = None,
+    population: int | None = None,
 ) -> tuple[MarkerDiscs, float]:
     """Fit the edges of markers of about these centers and outlines.
 
@@ -104,7 +105,8 @@ def fit_discs(
     known. The edge is where the darkness falls below half of that at the center, or below the
     threshold. It belongs to the marker within a tolerance, px, that is returned too: it is larger
     where the edges of most markers deviate, as those of markers that are not round. Of two discs
-    that fit as well, the one at the `predicted` center is preferred.
+    that fit as well, the one at the `predicted` center is preferred. The tolerance and the usual
+    shapes are those of the first markers, the `population`; None for all.
     """
     if not len(centers):
         nothing = np.zeros(0)
@@ -112,11 +114,11 @@ def fit_discs(
         return MarkerDiscs(centers, shape, outline, nothing, nothing, nothing > 0), 0.0
     tolerance = max(_TOLERANCE * float(np.nanmedian(outline)), _MIN_TOLERANCE_PX)
     found = _fit(darkness, centers, outline, threshold, tolerance, _SHAPE, _CHECK)
-    tolerance = max(tolerance, 3 * float(np.percentile(found.deviation_px, _TYPICAL)))
+    tolerance = max(tolerance, 3 * float(np.percentile(found.deviation_px[:population], _TYPICAL)))
     found = _fit(darkness, found.centers, outline, threshold, tolerance, _SHAPE, 1)
     usual, least = _SHAPE, -1.0
-    if found.clean.any():
-        usual = np.percentile(np.abs(found.shape[found.clean]), _USUAL, axis=0)
+    if (round_ := found.clean[:population]).any():
+        usual = np.percentile(np.abs(found.shape[:population][round_]), _USUAL, axis=0)
         usual = np.clip(usual, _MIN_SHAPE, _SHAPE)
     alike = (np.abs(found.shape) < _MAX_SHAPE * usual).all(axis=1)
     again = np.flatnonzero(~(found.clean & alike))

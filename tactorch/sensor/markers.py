@@ -167,9 +167,10 @@ def _detect(darkness: _Darkness, appearance: MarkerAppearance) -> tuple[_Points,
     around = spots[~clean][:, None] + _AROUND * size
     seeds = np.concatenate([around.reshape(-1, 2), _inner_points(mask, size)])
     seeds = seeds[cKDTree(spots[clean]).query(seeds)[0] > size]
-    starts = np.concatenate([spots[clean], seeds])  # by the others, it is known what is usual
-    parts, _ = fit_discs(darkness, starts, circles(size, len(starts)), threshold)
-    parts = parts.select(np.arange(clean.sum(), len(starts))).apart(size)
+    starts, count = np.concatenate([spots[clean], seeds]), int(clean.sum())
+    outline = circles(size, len(starts))
+    parts, _ = fit_discs(darkness, starts, outline, threshold, population=count)
+    parts = parts.select(np.arange(count, len(starts))).apart(size)
     places = np.concatenate([spots[clean], parts.centers])
     left_out = int((cKDTree(places).query(spots[~clean])[0] > 2 * size).sum())
     order = np.lexsort(places.T)
@@ -268,8 +269,8 @@ class MarkerTracker:
         left_out: Number of spots in the reference that are no markers, or only parts.
         ambiguous: Markers of the last frame that were not seen because other assignments of spots
             are as good.
-        covered: Markers of the last frame that were partly covered, or beside dirt. Their positions
-            are those of the visible part of the edge, or NaN if that is too short.
+        covered: Markers of the last frame that are covered, or beside dirt. Their positions are
+            those of the visible part of the edge, or NaN if that is too short.
         reassigned: Whether the markers of the last frame were assigned from the reference.
 
     Raises:
@@ -316,8 +317,7 @@ class MarkerTracker:
             parts.append(f"{unsure} of {count} markers cannot be distinguished")
         if covered:
             parts.append(
-                f"{covered} of {count} markers are partly covered or beside dirt,"
-                f" {lost} of them dropped"
+                f"{covered} of {count} markers are covered or beside dirt, {lost} of them dropped"
             )
         return "; ".join(parts)
 
@@ -396,11 +396,8 @@ class MarkerTracker:
         found &= off < self.options.max_deviation * self.spacing_px
         measured = found | (seen & checked & discs.known & differs)
         hidden = seen & checked & ~discs.known
-        column, row = (
-            predicted.round().astype(int).T.clip(0, np.array([darkness.shape[::-1]]).T - 1)
-        )
-        dark = self._grid.inside(predicted) & (darkness[row, column] > threshold)
-        self.covered = hidden | measured | (~seen & dark & ~self.ambiguous)
+        lost = ~seen & ~self.ambiguous & self._grid.inside(predicted)
+        self.covered = hidden | measured | lost
         return np.where(hidden[:, None], np.nan, np.where(measured[:, None], by_edge, positions))
 
     def _flow(self, image: Image) -> _Points:
