@@ -96,20 +96,28 @@ def light_change(image: Values, reference: Values, known: Bool[np.ndarray, "h w"
         return LightChange(np.zeros((3, 5)), 1.0, 0.0)
     border = usable.copy()
     border[1:-1, 1:-1] = False
-    data = seen[usable], light[usable], _basis(usable.shape)[usable]
     ratio = seen / np.maximum(light, 1.0) - 1
-    middles = [np.median(ratio[pixels], axis=0) for pixels in (usable, border) if pixels.any()]
-    starts = [np.zeros((3, 5)) for _ in range(3)]
-    for start, middle in zip(starts[1:], middles, strict=False):
-        start[:, 0] = middle
+    starts = [np.zeros(3)]
+    starts += [np.median(ratio[pixels], axis=0) for pixels in (usable, border) if pixels.any()]
+    data = seen[usable], light[usable], _basis(usable.shape)[usable]
+    return _simplest(*_fits(data, [np.pad(start[:, None], ((0, 0), (0, 4))) for start in starts]))
+
+
+def _fits(
+    data: tuple[np.ndarray, np.ndarray, np.ndarray], starts: list[np.ndarray]
+) -> tuple[list[LightChange], list[LightChange]]:
+    """Fit all models, to the pixels of a wide range of colors and of a narrow one."""
     wide = [
         max((_fit(*data, model, start, _BANDWIDTH) for start in starts), key=lambda fit: fit.share)
         for model in _MODELS[:2]
     ]
     wide += [_fit(*data, model, wide[1].terms, _BANDWIDTH) for model in _MODELS[2:]]
-    narrow = [
-        _fit(*data, model, fit.terms, _NARROW) for model, fit in zip(_MODELS, wide, strict=True)
-    ]
+    pairs = zip(_MODELS, wide, strict=True)
+    return wide, [_fit(*data, model, fit.terms, _NARROW) for model, fit in pairs]
+
+
+def _simplest(wide: list[LightChange], narrow: list[LightChange]) -> LightChange:
+    """Select the simplest change, with the difference of similar ones as error."""
     shares = np.array([fit.share for fit in narrow])
     # Less simple changes also explain some of the colors of a gel that is slightly deformed.
     unexplained = max(fit.share for fit in wide) - shares.max()
@@ -121,10 +129,8 @@ def light_change(image: Values, reference: Values, known: Bool[np.ndarray, "h w"
     simple = np.arange(len(shares)) < 2  # further ones explain more of a gel that is deformed
     similar = scores > scores[best] - 0.5 * least
     similar |= (shares > shares[best] - least) & (simple | bool(best))
-    apart = [
-        np.abs(narrow[k].terms[:, 0] - found.terms[:, 0]).max() for k in np.flatnonzero(similar)
-    ]
-    return LightChange(found.terms, float(max(apart, default=1.0)), wide[best].share)
+    apart = [np.abs(narrow[k].terms - found.terms)[:, 0].max() for k in np.flatnonzero(similar)]
+    return LightChange(found.terms, float(max(apart)), wide[best].share)
 
 
 def _fit(

@@ -162,7 +162,7 @@ def _fit(
     known = (share >= _MIN_EDGE) & (_largest_gap(at_edge) <= _MAX_GAP)
     known &= (np.abs(shape) < _MAX_SHAPE * shape_deviation).all(axis=1)
     known &= np.linalg.norm(now - centers, axis=1) < _MAX_MOVE * radius
-    typical = np.median(np.where(expected, off, np.inf), axis=1)
+    typical = np.minimum(np.median(np.where(expected, off, np.inf), axis=1), radius)
     return MarkerDiscs(now, shape, edges, typical, share, known)
 
 
