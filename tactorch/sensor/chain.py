@@ -110,6 +110,7 @@ class Measurement:
             `SensorChain.solve_contact`.
         view: What the image shows of the contact; None without contact, or without the option
             `contact_edge_mm`.
+        light_error_mm: Error of the depth from a change of the light.
     """
 
     frame: Frame
@@ -121,6 +122,7 @@ class Measurement:
     displacement: Float[np.ndarray, "k 3"] | None = None
     contact: GelContact | None = None
     view: ContactView | None = None
+    light_error_mm: float = 0.0
 
 
 class SensorChain:
@@ -170,6 +172,7 @@ class SensorChain:
         """Track the markers into the next frame and measure the deformation, without forces."""
         no_markers = np.zeros((0, 2))
         markers_px = no_markers if self.tracker is None else self.tracker.track(frame.image)
+        tracked = "" if self.tracker is None else self.tracker.fault
         found = Measurement(frame, markers_px, np.zeros(len(self.model.points), dtype=bool))
         if frame.image is None:
             return found
@@ -181,7 +184,9 @@ class SensorChain:
             mm_per_px=self.sensor.mm_per_px,
         )
         depth_mm, max_slope = height.depth_mm, height.max_slope
-        found = replace(found, height=height, depth_mm=depth_mm, max_slope=max_slope)
+        frame = frame.with_faults(tracked, "" if height.light is None else height.light.fault)
+        found = replace(found, frame=frame, height=height, depth_mm=depth_mm, max_slope=max_slope)
+        found = replace(found, light_error_mm=height.light_error_mm)
         if depth_mm < self.options.min_depth_mm:
             return found
         displacement = self._face_displacement(markers_px, height)
@@ -208,8 +213,9 @@ class SensorChain:
         if measurement.view is not None:
             return self._solve_refined(measurement, measurement.view, outline)
         known, in_contact = measurement.displacement, measurement.in_contact
+        noise_mm = float(np.hypot(self.options.noise_mm, measurement.light_error_mm))
         # Slopes determine depth up to a constant, and the gel also moves outside the contact.
-        return self.forces.solve(known, self.options.noise_mm, in_contact, free_plane=True)
+        return self.forces.solve(known, noise_mm, in_contact, free_plane=True)
 
     def _solve_refined(
         self, measurement: Measurement, view: ContactView, outline: EdgeDistance | None
@@ -218,11 +224,12 @@ class SensorChain:
         known, points, options = measurement.displacement, self.model.points, self.options
         assert known is not None
         assert options.contact_edge_mm is not None
+        noise_mm = float(np.hypot(options.noise_mm, measurement.light_error_mm))
         edge = image_edge(self.sensor, view.pixels, points, known, options.margin_mm)
         edge = edge if outline is None else common_edge(edge, outline)
         data = FaceData.of(
             view.markers_mm, view.in_plane_mm, options.marker_noise_mm,
-            points[:, :2], known[:, 2], options.noise_mm,
+            points[:, :2], known[:, 2], noise_mm,
         )  # fmt: skip
         gel = RefinedGel(self.model, edge, options.contact_edge_mm)
         return gel.solve(data.with_depth_errors(edge, gel.edge_mm), free_plane=True)

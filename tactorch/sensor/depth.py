@@ -13,6 +13,7 @@ from scipy.sparse.linalg import splu
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.linalg import conjugate_gradients
 from tactorch.mesh.values import Real, positive
+from tactorch.sensor.light import LightChange
 
 #: Default slope above which the face counts as deformed.
 MIN_SLOPE = 0.12
@@ -38,6 +39,7 @@ class HeightMap:
         undeformed: Pixels taken as undeformed.
         contact: Pixels that are likely in contact.
         max_slope: Largest slope of the smoothed image.
+        light: Change of the light, which is corrected; None if unknown.
     """
 
     height_mm: Field
@@ -45,11 +47,17 @@ class HeightMap:
     undeformed: Mask
     contact: Mask
     max_slope: float = 0.0
+    light: LightChange | None = None
 
     @property
     def depth_mm(self) -> float:
         """Depth of the deepest pixel, mm."""
         return -float(self.height_mm.min())
+
+    @property
+    def light_error_mm(self) -> float:
+        """Error of this depth from a change of the light, mm."""
+        return 0.0 if self.light is None else abs(self.depth_mm) * self.light.error
 
 
 def reconstruct_height(

@@ -93,6 +93,10 @@ class Frame:
     usable: bool = True
     unix_s: float | None = None
 
+    def with_faults(self, *faults: str) -> "Frame":
+        """Return the frame with further faults; empty ones are none."""
+        return replace(self, fault="; ".join(filter(None, (self.fault, *faults))))
+
 
 def read_frames(
     source: Source,

@@ -3,6 +3,7 @@
 A marker whose match is ambiguous is dropped from the frame rather than mismatched.
 """
 
+import logging
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +17,7 @@ from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.frames import Image
+from tactorch.sensor.marker_edge import CLEAN, MarkerDiscs, circles, fit_discs
 from tactorch.sensor.marker_match import (
     LOST_COST,
     SIMILAR_COST,
@@ -25,10 +27,20 @@ from tactorch.sensor.marker_match import (
     smooth_motion,
 )
 
+_log = logging.getLogger(__name__)
+
 _MIN_BACKGROUND = 10.0  # gray values; below, contrast is not defined
 _FLOW_LEVELS = 3
 _JUMP = 0.25  # of a spacing between frames, above which identities are checked
 _DOUBT = 0.04  # of the markers lost or spots left over, above which identities are checked
+_ROUND = 0.85  # share of round spots, from which spots that are not are dirt, or partly covered
+_ONE_SIZE = 0.1  # deviation of radii up to which markers are of one size
+_MIN_UNLIKE_PX = 0.3  # difference of a position from that of the edge which is not noise
+# Starts of fits about a spot that is no disc, in radii.
+_AROUND = 0.7 * np.array(
+    [(0, 0), (1, 0), (0.5, 0.9), (-0.5, 0.9), (-1, 0), (-0.5, -0.9), (0.5, -0.9)]
+)
+_FOUND = 0.7  # share of the edge of a marker without a spot
 _TOTAL_DEVIATION = 2.5  # limit for the total displacement, over that for the step between frames
 
 _Points = Float[np.ndarray, "_ 2"]
@@ -83,9 +95,17 @@ def detect_markers(image: Image, appearance: MarkerAppearance) -> Float[np.ndarr
     """Return the centers (column, row) of the markers in an image, from the top down.
 
     Spots of several merged markers are split at their necks. Each center is the centroid of the
-    darkness, which averages noise and partly covered pixels.
+    darkness, which averages noise and partly covered pixels. Where most markers are round, one that
+    is not, beside a speck of dirt or partly covered, has the center of the disc that fits its edge;
+    if there is none, it is left out, with a warning.
     """
-    return _locate_markers(_relative_darkness(image, appearance), appearance)
+    centers, _, left_out = _detect(_relative_darkness(image, appearance), appearance)
+    if left_out:
+        _log.warning(
+            "%d spots are left out: %d markers are found, but those are no whole discs",
+            left_out, len(centers),
+        )  # fmt: skip
+    return centers
 
 
 def marker_mask(image: Image, appearance: MarkerAppearance) -> Bool[np.ndarray, "h w"]:
@@ -121,10 +141,56 @@ def _threshold(darkness: _Darkness, appearance: MarkerAppearance) -> float:
     return max(0.5 * float(np.percentile(spots, 75)), background) if len(spots) else 1.0
 
 
-def _locate_markers(darkness: _Darkness, appearance: MarkerAppearance) -> _Points:
-    threshold = _threshold(darkness, appearance)
+def _locate_spots(darkness: _Darkness, appearance: MarkerAppearance, threshold: float) -> _Points:
     labels = _label_spots(np.asarray(darkness > threshold), appearance)
     return _centroids(darkness, labels, threshold)
+
+
+def _detect(darkness: _Darkness, appearance: MarkerAppearance) -> tuple[_Points, MarkerDiscs, int]:
+    """Return the centers of the markers, their discs, and the number of spots left out."""
+    threshold = _threshold(darkness, appearance)
+    mask = np.asarray(darkness > threshold)
+    labels = _label_spots(mask, appearance)
+    spots = _centroids(darkness, labels, threshold)
+    areas = np.bincount(labels.ravel())[1:]
+    size = float(np.sqrt(np.median(areas[areas > 0]) / np.pi)) if len(spots) else 0.0
+    discs, tolerance = fit_discs(darkness, spots, circles(size, len(spots)), threshold)
+    clean = discs.clean
+    if not clean.any() or clean.mean() < _ROUND:
+        return spots, discs, 0
+    if np.percentile(np.abs(discs.shape[clean, 0]), 75) > _ONE_SIZE:
+        return spots, discs, 0
+    off = np.linalg.norm(discs.centers - spots, axis=1)
+    spots = np.where((clean & (off > _unlike(tolerance)))[:, None], discs.centers, spots)
+    # Parts of spots that are no discs, and of spots too large for a marker, may be.
+    size *= 1 + float(np.median(discs.shape[clean, 0]))
+    around = spots[~clean][:, None] + _AROUND * size
+    seeds = np.concatenate([around.reshape(-1, 2), _inner_points(mask, size)])
+    seeds = seeds[cKDTree(spots[clean]).query(seeds)[0] > size]
+    starts, count = np.concatenate([spots[clean], seeds]), int(clean.sum())
+    outline = circles(size, len(starts))
+    parts, _ = fit_discs(darkness, starts, outline, threshold, population=count)
+    parts = parts.select(np.arange(count, len(starts))).apart(size)
+    places = np.concatenate([spots[clean], parts.centers])
+    left_out = int((cKDTree(places).query(spots[~clean])[0] > 2 * size).sum())
+    order = np.lexsort(places.T)
+    return places[order], discs.select(clean).joined(parts).select(order), left_out
+
+
+def _unlike(tolerance_px: float) -> float:
+    """Difference of a position from that of the edge which is not noise, px."""
+    return max(_MIN_UNLIKE_PX, 0.5 * tolerance_px)
+
+
+def _inner_points(mask: Bool[np.ndarray, "h w"], size_px: float) -> _Points:
+    """Points (column, row) that are farthest inside, at least half of a radius."""
+    from skimage.feature import peak_local_max
+
+    depth = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
+    smooth = cv2.GaussianBlur(depth, (0, 0), 1.0)
+    step = max(1, round(0.5 * size_px))
+    peaks = peak_local_max(smooth, min_distance=step, threshold_abs=0.5 * size_px)
+    return np.asarray(peaks[:, ::-1], dtype=float)
 
 
 def _label_spots(
@@ -200,8 +266,11 @@ class MarkerTracker:
         reference_px: Markers in the reference (column, row).
         spacing_px: Median distance of neighboring markers.
         neighbors: Indices of each marker's neighbors.
+        left_out: Number of spots in the reference that are no markers, or only parts.
         ambiguous: Markers of the last frame that were not seen because other assignments of spots
             are as good.
+        covered: Markers of the last frame that are covered, or beside dirt. Their positions are
+            those of the visible part of the edge, or NaN if that is too short.
         reassigned: Whether the markers of the last frame were assigned from the reference.
 
     Raises:
@@ -214,7 +283,7 @@ class MarkerTracker:
 
     def __post_init__(self) -> None:
         self._darkness = _relative_darkness(self.reference, self.appearance)
-        self.reference_px = _locate_markers(self._darkness, self.appearance)
+        self.reference_px, self._discs, self.left_out = _detect(self._darkness, self.appearance)
         required = self.options.neighbors + 1
         if len(self.reference_px) < required:
             raise ConfigError(
@@ -228,16 +297,36 @@ class MarkerTracker:
         gate = self.options.gate
         self._grid = Grid(self.reference_px, self.neighbors, self.spacing_px, size_px, gate)
         self._confirmed_cost = 0.0  # cost of the last assignment that was confirmed
-        self.ambiguous = np.zeros(len(self.reference_px), dtype=bool)
+        self.ambiguous, self.covered, self._lost = np.zeros((3, len(self.reference_px)), dtype=bool)
+        # Edges that are not seen in the reference are not expected in frames.
+        edges = self._discs.edges
+        self._checked = np.isfinite(edges).mean(axis=1) >= CLEAN
+        edges = np.where(np.isfinite(edges), edges, np.nan)
+        self._outline = np.where(self._checked[:, None], edges, self.appearance.diameter_px / 2)
         self.reassigned = False
         self._previous_px = self.reference_px.copy()  # measured, or predicted for lost markers
         self._previous_image = self.reference
+
+    @property
+    def fault(self) -> str:
+        """Description of the markers of the last frame that are not distinguished, or covered."""
+        unsure, covered = int(self.ambiguous.sum()), int(self.covered.sum())
+        lost = int((self.covered & self._lost).sum())
+        parts, count = [], len(self.ambiguous)
+        if unsure:
+            parts.append(f"{unsure} of {count} markers cannot be distinguished")
+        if covered:
+            parts.append(
+                f"{covered} of {count} markers are covered or beside dirt, {lost} of them dropped"
+            )
+        return "; ".join(parts)
 
     def track(self, image: Image | None) -> Float[np.ndarray, "n 2"]:
         """Return the markers in the next rectified frame (column, row); NaN for those not seen.
 
         No marker is seen in a missing frame, None.
         """
+        self.ambiguous, self.covered, self._lost = np.zeros((3, len(self.reference_px)), dtype=bool)
         if image is None:
             return np.full(self.reference_px.shape, np.nan)
         if image.shape != self.reference.shape:
@@ -246,7 +335,8 @@ class MarkerTracker:
                 " rectified frames of one sensor."
             )
         darkness = _relative_darkness(image, self.appearance)
-        spots = _locate_markers(darkness, self.appearance)
+        threshold = _threshold(darkness, self.appearance)
+        spots = _locate_spots(darkness, self.appearance, threshold)
         gate = self.options.gate * self.spacing_px
         predicted = self._previous_px + self._flow(image)
         positions = self._reject_outliers(assign_spots(predicted, spots, gate))
@@ -260,8 +350,9 @@ class MarkerTracker:
         origin = self.reference_px if self.reassigned else self._previous_px
         fallback = self._by_neighbors(positions, origin)
         positions = self._refine(positions, darkness)
+        positions = self._check_edges(positions, fallback, darkness, threshold)
         self._previous_px = np.where(np.isnan(positions), fallback, positions)
-        self._previous_image = image
+        self._previous_image, self._lost = image, np.isnan(positions[:, 0])
         return positions
 
     def _check_identities(self, positions: _Points, spots: _Points) -> _Points:
@@ -283,6 +374,31 @@ class MarkerTracker:
         self.ambiguous = match.ambiguous
         self._confirmed_cost = 0.0 if self.ambiguous.all() else match.cost
         return np.where(self.ambiguous[:, None], np.nan, match.positions)
+
+    def _check_edges(
+        self, positions: _Points, predicted: _Points, darkness: _Darkness, threshold: float
+    ) -> _Points:
+        """Measure markers whose edge is partly that of dirt or glare by the rest of it.
+
+        A marker without enough of its edge is dropped. A marker without a spot may be part of a
+        larger one.
+        """
+        seen, checked = np.isfinite(positions[:, 0]), self._checked
+        starts = np.where(seen[:, None], positions, predicted)
+        discs, tolerance = fit_discs(darkness, starts, self._outline, threshold, predicted)
+        usual = checked & seen & discs.clean
+        if usual.sum() <= _ROUND * (checked & seen).sum():  # nothing is known of single markers
+            return positions
+        by_edge = self.reference_px + discs.centers - self._discs.centers
+        off = np.linalg.norm(by_edge - starts, axis=1)
+        differs = off > max(_unlike(tolerance), 4 * float(np.median(off[usual])))
+        found = ~seen & ~self.ambiguous & checked & discs.known & (discs.share >= _FOUND)
+        found &= off < self.options.max_deviation * self.spacing_px
+        measured = found | (seen & checked & discs.known & differs)
+        hidden = seen & checked & ~discs.known
+        lost = ~seen & ~self.ambiguous & self._grid.inside(predicted)
+        self.covered = hidden | measured | lost
+        return np.where(hidden[:, None], np.nan, np.where(measured[:, None], by_edge, positions))
 
     def _flow(self, image: Image) -> _Points:
         """Pyramidal Lucas-Kanade flow (Bouguet, 2001), smoothed over the neighbors."""

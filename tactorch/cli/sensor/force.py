@@ -68,7 +68,7 @@ def _frame_forces(
 
     A frame whose forces cannot be those of a contact is faulty.
     """
-    shape, stored, nan = chain.model.points.shape, without_image(frame), float("nan")
+    shape, nan = chain.model.points.shape, float("nan")
     none = np.zeros(shape[0], dtype=bool)
     try:
         measurement = chain.measure(frame)
@@ -76,6 +76,7 @@ def _frame_forces(
         unknown = np.full(shape, nan)
         return without_image(frame, f"no forces found: {error}"), unknown, unknown, none, nan
     contact, depth = measurement.contact, measurement.depth_mm
+    stored = without_image(measurement.frame)
     if contact is None:
         free = np.full(shape, nan if frame.image is None else 0.0)
         return stored, free, free, none, depth

@@ -32,8 +32,7 @@ _SUMMARY, _TEXT, OVER_TIME = "summary.json", "summary.txt", "over_time.png"
 
 def without_image(frame: Frame, fault: str = "") -> Frame:
     """Return a frame without its image and with an additional fault."""
-    faults = "; ".join(part for part in (frame.fault, fault) if part)
-    return replace(frame, image=None, fault=faults)
+    return replace(frame.with_faults(fault), image=None)
 
 
 def _frame_times(frames: Sequence[Frame]) -> Float[np.ndarray, " f"] | None:

@@ -30,11 +30,18 @@ def run(cfg: ReconstructSettings) -> Path:
     files = RunFiles("depth", _TABLE, f"{_MAPS}/*.npz")
     sensor, calibration = load_calibrated(cfg)
     frames, pixel_mm2 = FrameSequence(cfg, sensor), float(np.prod(calibration.mm_per_px))
+    changed: list[bool] = []
 
-    def reconstruct(frame: Frame) -> tuple[Frame, float, float]:
-        """Write the height map; return the frame with its depth, mm, and contact area, mm^2."""
+    def reconstruct(frame: Frame) -> tuple[Frame, float, float, float, float]:
+        """Write the height map.
+
+        Returns:
+            The frame, its depth, mm, contact area, mm^2, relative light, and the depth's standard
+            deviation from a change of the light, mm.
+        """
         if frame.image is None:
-            return without_image(frame), float("nan"), float("nan")
+            nan = float("nan")
+            return without_image(frame), nan, nan, nan, nan
         height = calibration.height(
             frame.image, frames.reference, depth=cfg.depth, min_slope=cfg.min_slope
         )
@@ -44,23 +51,31 @@ def run(cfg: ReconstructSettings) -> Path:
         if frame.time_s is not None:
             arrays["time_s"] = np.array(frame.time_s)
         write_arrays(files.folder / _map_name(frame), arrays, compressed=True)
-        return without_image(frame), height.depth_mm, float(contact.sum() * pixel_mm2)
+        light = height.light
+        assert light is not None
+        changed.append(light.changed)
+        area, depth = float(contact.sum() * pixel_mm2), height.depth_mm
+        stored = without_image(frame, light.fault)
+        return stored, depth, area, light.factor, height.light_error_mm
 
     results = frames.process("reconstructing depth", reconstruct)
-    measured = [frame for frame, *_ in results]
-    all_depths, areas = (np.array([result[k] for result in results], dtype=float) for k in (1, 2))
-    files.write_frame_table(_TABLE, measured, depth_mm=all_depths, contact_mm2=areas)
-    depths = [depth for _, depth, area in results if area > 0]
+    measured, *columns = map(list, zip(*results, strict=True))
+    all_depths, areas, light, errors = (np.array(column, dtype=float) for column in columns)
+    files.write_frame_table(
+        _TABLE, measured, depth_mm=all_depths, contact_mm2=areas, light=light, light_error_mm=errors
+    )
+    depths = all_depths[areas > 0].tolist()
     deepest = max(depths, default=0.0)
     files.write_frame_summary(
         measured,
-        {"in_contact": len(depths), "deepest_mm": deepest},
+        {"in_contact": len(depths), "deepest_mm": deepest, "light_changed": sum(changed)},
         f"{len(depths)} of {len(results)} frames are in contact, the deepest by {deepest:.3f} mm.",
+        *_light_line(light, changed),
     )
     view = DepthView(sensor, max(_MIN_LIMIT_MM, float(np.nanmax(all_depths, initial=0.0))))
 
     def show(frame: Frame) -> None:
-        stored, depth, area = results[frame.index]
+        stored, depth, area, *_ = results[frame.index]
         text = f"{depth:.3f} mm deep, contact {area:.1f} mm²"
         text = caption(stored, len(results), "no image" if frame.image is None else text)
         view.show(frame.image, *_read_map(files.folder / _map_name(frame), sensor), text)
@@ -69,6 +84,16 @@ def run(cfg: ReconstructSettings) -> Path:
     files.draw(view.figure, frames, show, cfg, measured, series)
     log.info("depth maps: %s", files.folder / _MAPS)
     return files.folder / _MAPS
+
+
+def _light_line(light: Float[np.ndarray, " f"], changed: list[bool]) -> list[str]:
+    if not any(changed):
+        return []
+    return [
+        f"The light differs from that of the reference in {sum(changed)} frames: it is"
+        f" {np.nanmin(light):.2f} to {np.nanmax(light):.2f} of it on average over the colors. This"
+        " is corrected; its error is in the column light_error_mm."
+    ]
 
 
 def _map_name(frame: Frame) -> str:

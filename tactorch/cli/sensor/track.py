@@ -51,15 +51,15 @@ def run(cfg: TrackSettings) -> Path:
             " marker_diameter_px."
         )
     frames = FrameSequence(cfg, sensor)
-    tracker, reassigned = MarkerTracker(frames.reference, appearance), list[bool]()
+    tracker = MarkerTracker(frames.reference, appearance)
+    reassigned, covered = list[bool](), list[int]()
 
     def track(frame: Frame) -> tuple[Frame, np.ndarray, np.ndarray]:
         positions_px = tracker.track(frame.image)
         _, displacement = marker_displacements(sensor, tracker.reference_px, positions_px)
         reassigned.append(frame.image is not None and tracker.reassigned)
-        unsure = int(tracker.ambiguous.sum()) if frame.image is not None else 0
-        fault = f"{unsure} of {len(positions_px)} markers cannot be distinguished" if unsure else ""
-        return without_image(frame, fault), positions_px, displacement[:, :2]
+        covered.append(int(tracker.covered.sum()))
+        return without_image(frame, tracker.fault), positions_px, displacement[:, :2]
 
     results = frames.process("following markers", track)
     measured, *arrays = map(list, zip(*results, strict=True))
@@ -73,6 +73,12 @@ def run(cfg: TrackSettings) -> Path:
         lines.append(
             f"After jumps, the markers of {sum(reassigned)} frames were assigned from the reference"
             " alone."
+        )
+    values |= {"covered": covered, "left_out_of_reference": tracker.left_out}
+    if tracker.left_out:
+        lines.append(
+            f"{tracker.left_out} spots of the reference are left out: they are no whole markers."
+            " Clean the gel and the camera's window."
         )
     if cfg.backward:
         values["backward"], line = _track_back(frames, positions, appearance)

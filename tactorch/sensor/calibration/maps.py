@@ -19,7 +19,7 @@ from tactorch.config import Options, Registry, option
 from tactorch.errors import ConfigError
 from tactorch.sensor.depth import fill_masked
 from tactorch.sensor.frames import Image
-from tactorch.sensor.light import COLOUR_UNIT, light_drift
+from tactorch.sensor.light import COLOUR_UNIT, LightChange, light_change
 from tactorch.sensor.markers import MarkerAppearance, marker_mask
 
 Arrays = dict[str, np.ndarray]
@@ -57,7 +57,7 @@ def image_change(
 ) -> Float[np.ndarray, "h w 3"]:
     """Return the smoothed change of each color in units of 50 gray values.
 
-    The change is relative to that of the gel without contact, see `light_drift`.
+    The change is relative to that of the gel without contact, see `light_change`.
 
     Args:
         image: Frame.
@@ -65,16 +65,25 @@ def image_change(
         markers: Appearance of markers, whose pixels are filled in; None without markers.
         smooth_px: Standard deviation of the smoothing.
     """
+    return change_and_light(image, reference, markers, smooth_px)[0]
+
+
+def change_and_light(
+    image: Image, reference: Image, markers: MarkerAppearance | None = None, smooth_px: float = 1.0
+) -> tuple[Float[np.ndarray, "h w 3"], LightChange]:
+    """Return the change of each color, see `image_change`, and that of the light."""
     if image.shape != reference.shape:
         raise ConfigError(
             f"the image has shape {image.shape}, the reference {reference.shape}; give rectified"
             " images of one sensor."
         )
-    difference = (image.astype(np.float64) - reference) / COLOUR_UNIT
-    difference = fill_masked(difference, ~marker_pixels(image, reference, markers))
+    known = ~marker_pixels(image, reference, markers)
+    values = image.astype(np.float64), reference.astype(np.float64)
+    light = light_change(*values, known)
+    change = fill_masked(light.remove(*values) / COLOUR_UNIT, known)
     if smooth_px > 0:
-        difference = np.asarray(cv2.GaussianBlur(difference, (0, 0), smooth_px))
-    return difference - light_drift(difference)
+        change = np.asarray(cv2.GaussianBlur(change, (0, 0), smooth_px))
+    return change, light
 
 
 def pixel_features(change: Float[np.ndarray, "h w 3"]) -> Features:

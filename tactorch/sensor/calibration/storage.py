@@ -1,7 +1,7 @@
 """Calibrations and their files: npz archives of arrays and JSON text, without executable code."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -11,10 +11,11 @@ from jaxtyping import Float
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import read_arrays, write_arrays
-from tactorch.sensor.calibration.maps import SENSOR_MAPS, SlopeMap, image_change, map_slopes
+from tactorch.sensor.calibration.maps import SENSOR_MAPS, SlopeMap, change_and_light, map_slopes
 from tactorch.sensor.depth import MIN_SLOPE, HeightMap, reconstruct_height
 from tactorch.sensor.description import check_pixel_size
 from tactorch.sensor.frames import Image
+from tactorch.sensor.light import LightChange
 from tactorch.sensor.markers import MarkerAppearance
 from tactorch.versions import versions
 
@@ -60,13 +61,19 @@ class Calibration:
 
         `reference` shows the gel without contact on that day; None for the calibration's.
         """
+        return map_slopes(self.map, self._change(image, reference)[0])
+
+    def _change(
+        self, image: Image, reference: Image | None
+    ) -> tuple[Float[np.ndarray, "h w 3"], LightChange]:
         if image.shape != self.reference.shape:
             raise ConfigError(
                 f"the image has shape {image.shape}, but the sensor was calibrated with"
                 f" {self.reference.shape}; give rectified images of that sensor, or calibrate"
                 " again."
             )
-        return map_slopes(self.map, self._change(image, reference))
+        unloaded = self.reference if reference is None else reference
+        return change_and_light(image, unloaded, self.markers)
 
     def height(
         self,
@@ -92,8 +99,9 @@ class Calibration:
             ConvergenceError: The linear solver does not converge.
         """
         size = mm_per_px or self.mm_per_px
-        slopes = self.slopes(image, reference)
-        height = reconstruct_height(slopes, size, min_slope)
+        change, light = self._change(image, reference)
+        slopes = map_slopes(self.map, change)
+        height = replace(reconstruct_height(slopes, size, min_slope), light=light)
         if depth == "lookup":
             return height
         if self.light is None:
@@ -103,12 +111,8 @@ class Calibration:
             )
         from tactorch.sensor.camera.height import fit_height  # imports kornia
 
-        change, light = self._change(image, reference), self.light
-        return fit_height(change, light.shading, light.deviation, slopes, height, size)
-
-    def _change(self, image: Image, reference: Image | None) -> Float[np.ndarray, "h w 3"]:
-        unloaded = self.reference if reference is None else reference
-        return image_change(image, unloaded, self.markers)
+        camera = self.light
+        return fit_height(change, camera.shading, camera.deviation, slopes, height, size)
 
 
 def save_calibration(calibration: Calibration, path: str | Path) -> None:

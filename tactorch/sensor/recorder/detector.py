@@ -123,6 +123,7 @@ class ContactDetector:
                     " frame_rate_hz in the sensor's description."
                 )
             measurement = self.chain.measure_deformation(frame if usable else stored)
+            stored = replace(measurement.frame, image=None)
             measurement = replace(measurement, frame=stored, height=None)
             self.report(reduced(measurement))
             if measurement.displacement is not None:

@@ -131,7 +131,9 @@ class PressBuilder:
                 press = build_press(
                     forces, pose, first_pose, self.mesh, in_contact,
                     options=self.options, step=step,
-                    noise_mm=self._noise_mm(forces, measured_noise_mm),
+                    noise_mm=self._noise_mm(
+                        forces, measured_noise_mm, measurement.light_error_mm
+                    ),
                     name=f"contact {number}, {name}",
                     **self.options.supports(self.mesh, pose[:3, 2]),
                 )  # fmt: skip
@@ -142,13 +144,16 @@ class PressBuilder:
                 step += 1
                 yield measurement, press
 
-    def _noise_mm(self, forces: GelContact, measured_mm: float | None) -> float:
+    def _noise_mm(
+        self, forces: GelContact, measured_mm: float | None, light_error_mm: float
+    ) -> float:
         """Standard deviation of the displacements of a press, besides errors that are given."""
         if self.options.press_noise_mm is not None:
             return self.options.press_noise_mm
         if forces.errors is not None:
             return self.chain.options.marker_noise_mm
-        return max(self.chain.options.noise_mm, measured_mm or 0.0)
+        noise_mm = max(self.chain.options.noise_mm, measured_mm or 0.0)
+        return float(np.hypot(noise_mm, light_error_mm))
 
     def _outline(self, first_pose: Pose) -> EdgeDistance | None:
         """Distance from the outline of the object under the gel; None if unknown or not needed."""
