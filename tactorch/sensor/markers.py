@@ -395,7 +395,9 @@ class MarkerTracker:
         found = ~seen & ~self.ambiguous & checked & discs.known & (discs.share >= _FOUND)
         found &= off < self.options.max_deviation * self.spacing_px
         measured = found | (seen & checked & discs.known & differs)
-        hidden = seen & checked & ~discs.known
+        # Where the image ends, the edge that is missing is no sign of dirt.
+        whole = (~np.isnan(discs.edges)).mean(axis=1) >= CLEAN
+        hidden = seen & checked & whole & ~discs.known
         lost = ~seen & ~self.ambiguous & self._grid.inside(predicted)
         self.covered = hidden | measured | lost
         return np.where(hidden[:, None], np.nan, np.where(measured[:, None], by_edge, positions))

@@ -58,7 +58,7 @@ def test_without_contact_nothing_moves(tracked: np.ndarray, reference: np.ndarra
 def test_markers_keep_their_identity(tracked: np.ndarray, images: list[np.ndarray]) -> None:
     """Followed back from the last frame, each comes out where it began."""
     always = np.isfinite(tracked).all(axis=(0, 2))
-    assert always.sum() >= 115  # the press moves some of the others over the image's edge
+    assert always.sum() >= 118
     back = MarkerTracker(images[-1], LOOK)
     for image in images[-2::-1]:
         found = back.track(image)
