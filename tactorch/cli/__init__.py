@@ -3,17 +3,15 @@
 import os
 import sys
 from importlib import import_module
-from threading import Event, Thread
 from typing import TYPE_CHECKING
+
+from tactorch.cli.starting import STARTED, show_starting
 
 if TYPE_CHECKING:
     from tactorch.cli.app import App
 
 __all__ = ["COMMANDS", "GROUPS", "VERBS", "main"]
 
-#: Set when a command runs, and gives signs of life itself.
-STARTED = Event()
-_SOON_S, _PERIOD_S = 0.7, 8.0
 _HELP = ("-h", "--help", "help")
 VERBS = {
     "simulate": "press a phantom and record how its surface moves",
@@ -59,7 +57,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run `tactorch VERB [settings]`; ends the process with a status other than 0 on errors."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if arguments is None and words and not {"-h", "--help"} & set(words):
-        Thread(target=_say_starting, args=words[:1], daemon=True).start()
+        show_starting(words[0])
     try:
         app = _dispatch(words)
         if app is not None:
@@ -74,14 +72,6 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(INTERRUPTED)
     finally:
         STARTED.set()
-
-
-def _say_starting(verb: str) -> None:
-    """Print a first line, and others until the command starts: packages take seconds to import."""
-    wait_s = _SOON_S
-    while not STARTED.wait(wait_s):
-        print(f"tactorch {verb}: working ...", file=sys.stderr, flush=True)
-        wait_s = _PERIOD_S
 
 
 def _dispatch(words: list[str]) -> "App | None":

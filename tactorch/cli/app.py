@@ -10,7 +10,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from tactorch.cli import STARTED, console
+from tactorch.cli import console
 from tactorch.cli.compose import SEARCH_PACKAGE, build_options, store_config
 from tactorch.cli.existing import CONTINUING, check_file, check_run_folder
 from tactorch.cli.overrides import (
@@ -23,6 +23,7 @@ from tactorch.cli.overrides import (
 )
 from tactorch.cli.resume import has_state, saved_settings, with_resume
 from tactorch.cli.schema import command_module, load_schema
+from tactorch.cli.starting import STARTED
 from tactorch.cli.sweep import Job, register_names, summarize
 from tactorch.config.targets import trust
 from tactorch.errors import ConfigError, FileError, TactorchError

@@ -302,7 +302,7 @@ REFUSED = [
     Bad("damaged calibration", "load_calibration", half_calibration,
         ("calib.npz' cannot be read", "Calibrate again"), FileError),
     Bad("calibration with a pickle", "load_calibration", pickled,
-        ("calib.npz' cannot be read", "allow_pickle=False", "Calibrate again"), FileError),
+        ("calib.npz' cannot be read", "Python objects", "Calibrate again"), FileError),
     Bad("calibration of a newer version", "load_calibration",
         lambda d: calibration(d, {"version": 9}),
         ("calib.npz' is of version 9, this tactorch reads 1", "calibrate again"), FileError),
