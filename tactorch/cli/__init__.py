@@ -56,8 +56,8 @@ COMMANDS = (
 def main(arguments: list[str] | None = None) -> None:
     """Run `tactorch VERB [settings]`; ends the process with a status other than 0 on errors."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if arguments is None and words and not {"-h", "--help"} & set(words):
-        show_starting(words[0])
+    if arguments is None:
+        show_starting(words)
     try:
         app = _dispatch(words)
         if app is not None:

@@ -1,20 +1,25 @@
 """Lines until a command starts: its packages take seconds to import."""
 
-import sys
+from collections.abc import Sequence
+from contextlib import suppress
 from threading import Event, Thread
 
 #: Set when a command runs, and gives signs of life itself.
 STARTED = Event()
 _SOON_S, _PERIOD_S = 0.7, 8.0
+# Of words whose output other programs read.
+_TEXT = {"-h", "--help", "-c", "--cfg", "-i", "--info", "--hydra-help", "--version", "completion"}
 
 
-def show_starting(verb: str) -> None:
+def show_starting(words: Sequence[str]) -> None:
     """Print a line soon, and others until the command starts, from another thread."""
-    Thread(target=_repeat, args=(verb,), daemon=True).start()
+    if words and not _TEXT.intersection(words):
+        Thread(target=_repeat, args=words[:1], daemon=True).start()
 
 
 def _repeat(verb: str) -> None:
     wait_s = _SOON_S
     while not STARTED.wait(wait_s):
-        print(f"tactorch {verb}: working ...", file=sys.stderr, flush=True)
+        with suppress(OSError, ValueError):  # no one reads it
+            print(f"tactorch {verb}: working ...", flush=True)
         wait_s = _PERIOD_S
