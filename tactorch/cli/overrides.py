@@ -1,8 +1,8 @@
 """Settings as typed, KEY=VALUE: checked against the schema before Hydra composes them."""
 
+import os
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactorch.budget import check_words
@@ -53,7 +53,7 @@ def named(command: str, words: Sequence[str]) -> list[str]:
 
 def _is_value(word: str) -> bool:
     """Return whether a word is no setting and no flag, but a name or a path, perhaps with a "="."""
-    return word[:1] != "-" and ("=" not in word or Path(word).exists())
+    return word[:1] != "-" and ("=" not in word or os.path.exists(word))
 
 
 def expanded(command: str, words: Sequence[str]) -> list[str]:
@@ -115,6 +115,11 @@ def key_of(word: str) -> str:
     return word.partition("=")[0].lstrip("+~")
 
 
+def given(words: Sequence[str]) -> dict[str, str]:
+    """Return the values of settings as typed, without quotes, by name."""
+    return {key_of(word): word.partition("=")[2].strip("'\"") for word in words}
+
+
 def _parse(word: str, schema: Schema) -> "Override":
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import OverrideParseException
@@ -125,8 +130,10 @@ def _parse(word: str, schema: Schema) -> "Override":
         (override,) = OverridesParser.create().parse_overrides([word])
     except OverrideParseException as error:
         problem = error.message.splitlines()[0]
-    exists = Path(word).exists()
-    if (not equals and (override is None or not override.is_delete())) or (equals and exists):
+    exists = os.path.exists(word)  # Path.exists refuses what is too long for a path
+    known = {e["name"].split(".")[0] for e in schema.settings} | set(schema.defaults)
+    is_path = exists and key.lstrip("+~").split(".")[0] not in known
+    if (not equals and (override is None or not override.is_delete())) or is_path:
         first = next((e["name"] for e in schema.settings if e["default"] == NO_VALUE), None)
         hint = f", here perhaps {_quoted(first, word)}" if first and exists else ""
         raise ConfigError(f"'{word}' is not a setting; write KEY=VALUE{hint}.")

@@ -13,7 +13,7 @@ from typing import Any
 
 from tactorch.budget import check_references
 from tactorch.cli.compose import build_options
-from tactorch.cli.overrides import check_overrides, key_of
+from tactorch.cli.overrides import check_overrides, given, key_of
 from tactorch.cli.presets import PROGRAM
 from tactorch.cli.schema import Schema, app_name
 from tactorch.config.values import leaves
@@ -46,8 +46,8 @@ def with_resume(schema: Schema, words: list[str], *, multirun: bool = False) -> 
         notice = f"'{run}' was stopped before its first checkpoint; it starts from the beginning."
         print(notice, file=sys.stderr)
         words = [word for word in words if key_of(word) != "resume"]
-    given = {*map(key_of, words), "resume"}
-    repeated = [word for word in earlier if key_of(word) not in {*given, "run_dir"}]
+    typed = {*map(key_of, words), "resume"}
+    repeated = [word for word in earlier if key_of(word) not in {*typed, "run_dir"}]
     path = run / ".hydra" / "overrides.yaml"
     try:
         for word in repeated:
@@ -61,7 +61,7 @@ def with_resume(schema: Schema, words: list[str], *, multirun: bool = False) -> 
             f"'{path}' holds more than plain settings of tactorch {schema.command}: {error} Remove "
             "it from that file if you trust the rest, or start the run again."
         ) from error
-    here = [] if "run_dir" in given else [f"run_dir='{run}'"]
+    here = [] if "run_dir" in typed else [f"run_dir='{run}'"]
     return [*(_moved(word, Path(started_in)) for word in checked), *words, *here]
 
 
@@ -101,9 +101,9 @@ def saved_settings(words: Sequence[str]) -> dict[Path, bytes]:
 
     A run that is refused, as its settings cannot be used, gets them back.
     """
-    given = {key_of(word): word.partition("=")[2].strip("'\"") for word in words}
-    folder = Path(given.get("run_dir", ""), ".hydra")
-    if given.get("resume", "null") in ("", "null") or not folder.is_dir():
+    typed = given(words)
+    folder = Path(typed.get("run_dir", ""), ".hydra")
+    if typed.get("resume", "null") in ("", "null") or not folder.is_dir():
         return {}
     return {path: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 

@@ -6,10 +6,8 @@ import logging
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from subprocess import PIPE
 
 import numpy as np
 
@@ -55,7 +53,6 @@ _FIVE = np.array([(0, 4, 2, 1), (6, 2, 4, 7), (5, 4, 1, 7), (3, 1, 2, 7), (1, 2,
 # Kuhn's subdivision: the paths along the axes from corner 0 to corner 7.
 _SIX = [(0, 4, 6, 7), (0, 4, 7, 5), (0, 2, 7, 6), (0, 2, 3, 7), (0, 1, 5, 7), (0, 1, 7, 3)]
 _EPSILON = 1e-3  # width of fTetWild's envelope over the bounding box's diagonal
-_PERIOD_S = 8.0  # between messages of a program that runs
 _WORKER = Path(__file__).with_name("_tetwild_worker.py")
 
 
@@ -234,8 +231,8 @@ def tetrahedralize(
         return mesh
 
     if tolerance is None:
-        all_points, all_faces = coarse = decimated(points, faces, length)
-        if len(coarse[1]) == len(faces):
+        all_points, all_faces = decimated(points, faces, length)
+        if len(all_faces) == len(faces):
             require_no_crossing(points, faces)
 
     def mesher(target_mm: float, envelope_mm: float) -> TetMesh:
@@ -298,37 +295,23 @@ def _run_tetwild(
             source, {**surface, "edge_length_mm": length, "epsilon": epsilon, "coarsen": coarsen}
         )
         # -P: keeps the worker's folder off the module search path.
-        command = [sys.executable, "-P", str(_WORKER), str(source), str(target)]
-        with progress_line(f"meshing with edges of {length:.3g} mm") as update:
-            code, output = _run(command, folder, update)
-        if code or not target.is_file():
+        with progress_line(f"meshing with edges of {length:.3g} mm"):
+            process = subprocess.run(
+                [sys.executable, "-P", str(_WORKER), str(source), str(target)],
+                cwd=folder,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                check=False,
+            )
+        if process.returncode or not target.is_file():
+            output = process.stderr.strip() or process.stdout.strip() or "no message"
             raise MeshError(
                 f"fTetWild could not mesh the surface of {len(faces)} triangles"
-                f" (exit status {code}): {output.splitlines()[-1]}"
+                f" (exit status {process.returncode}): {output.splitlines()[-1]}"
             )
         with np.load(target) as result:
             return result["points"], result["tets"]
-
-
-def _run(command: list[str], folder: str, update: Callable[[str], None]) -> tuple[int, str]:
-    """Run a program, and say every few seconds that it runs; return its exit status and output."""
-    start = time.monotonic()
-    process = subprocess.Popen(
-        command, cwd=folder, stdout=PIPE, stderr=PIPE, text=True, errors="replace"
-    )
-    try:
-        while True:
-            try:
-                output, errors = process.communicate(timeout=_PERIOD_S)
-                break
-            except subprocess.TimeoutExpired:
-                seconds = time.monotonic() - start
-                logger.info("fTetWild: %.0f s ...", seconds)
-                update(f"{seconds:.0f} s")
-    except BaseException:
-        process.kill()
-        raise
-    return process.returncode, errors.strip() or output.strip() or "no message"
 
 
 def _validated(points: Points, tets: Tets) -> TetMesh:

@@ -128,6 +128,16 @@ def test_paths_with_an_equals_sign_are_paths(tactorch: Any, run: Path, recording
     assert tactorch("invert", remedy, *QUICK).status == 0
 
 
+def test_long_settings_and_settings_that_name_a_file_are_settings(tactorch: Any) -> None:
+    centers = ",".join(f"[{i % 9 + 1}.5,{i // 9 + 1}.5,10]" for i in range(30))
+    Path("seed=1").write_text("")
+    done = tactorch(
+        "simulate", f"press.patch_centers_mm=[{centers}]", "press.patch_radius_mm=1", "seed=1",
+        "--cfg", "job",
+    )  # fmt: skip
+    assert done.status == 0, done.err
+
+
 def test_ctrl_c_reaches_no_worker() -> None:
     """A worker that receives it while it imports packages prints a traceback."""
     code = """
