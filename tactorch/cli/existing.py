@@ -5,7 +5,8 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from tactorch.cli.overrides import key_of
+from tactorch.cli.compose import compose_options
+from tactorch.cli.overrides import given
 from tactorch.cli.resume import command_of, has_state
 from tactorch.cli.schema import app_name
 from tactorch.errors import ConfigError, FileError
@@ -47,9 +48,13 @@ def check_run_folder(command: str, words: Sequence[str]) -> None:
     Raises:
         ConfigError: The folder holds a run of another command, or results that may not be replaced.
     """
-    given = {key_of(word): word.partition("=")[2].strip("'\"") for word in words}
-    folder = Path(given.get("run_dir", ""))
-    if "run_dir" not in given or _is_same(folder, given.get("resume", "")):
+    typed = given(words)
+    if "run_dir" not in typed:
+        return
+    folder = Path(typed["run_dir"])
+    if "${" in typed["run_dir"] and "${hydra" not in typed["run_dir"]:
+        folder = Path(compose_options(command, words).run_dir)
+    if _is_same(folder, typed.get("resume", "")):
         return
     results, earlier = _results(folder), command_of(folder)
     if not results or earlier is None:
@@ -60,7 +65,7 @@ def check_run_folder(command: str, words: Sequence[str]) -> None:
         )
     if command in CONTINUING:
         return
-    if given.get("overwrite", "").lower() not in ("true", "yes", "on", "1"):
+    if typed.get("overwrite", "").lower() not in ("true", "yes", "on", "1"):
         more = ", ..." if len(results) > _SHOWN else ""
         listed = ", ".join(results[:_SHOWN]) + more
         resume = f"resume={folder} to continue it, " if has_state(command, folder) else ""

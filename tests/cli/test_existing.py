@@ -64,6 +64,14 @@ def test_a_run_is_not_replaced_by_another_command(tactorch: Any, run: Path) -> N
     assert contents(run) == before
 
 
+def test_a_folder_named_by_settings_is_not_replaced(tactorch: Any) -> None:
+    words = ("simulate", *CUBE, "seed=3", "run_dir='runs/${seed}'")
+    assert tactorch(*words).status == 0
+    refused = tactorch(*words)
+    assert refused.status == 2
+    assert "run_dir=runs/3 holds the results" in refused.err
+
+
 def test_a_sweep_is_not_replaced(tactorch: Any) -> None:
     words = ("simulate", "-m", *CUBE, "seed=1,2", "run_dir=sweep")
     assert tactorch(*words).status == 0
