@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from tactorch.cli.console import log, progress
+from tactorch.cli.existing import check_file
 from tactorch.cli.settings import CommandOptions, UnitCheck, material_spec, run_folder
 from tactorch.config import option, to_mapping
 from tactorch.errors import ConfigError
@@ -57,8 +58,10 @@ class SimulateOptions(SimulationOptions, CommandOptions):
 
 def run(options: SimulateOptions) -> Path:
     """Simulate a recording and write it; returns its path."""
-    recording = simulate_recording(options)
     out = options.out or run_folder() / "recording.h5"
+    if options.out is None:
+        check_file(out, options.overwrite)
+    recording = simulate_recording(options)
     recording.save(out)
     log.info("%s", recording.summary())
     log.info("recording: %s", out)

@@ -33,6 +33,15 @@ def test_a_recording_is_replaced_on_demand_only(tactorch: Any) -> None:
     assert Path("a.h5").stat().st_size > 1000
 
 
+def test_a_recording_in_another_folder_is_not_replaced(tactorch: Any) -> None:
+    Path("mine").mkdir()
+    Path("mine/recording.h5").write_text("mine")
+    refused = tactorch("simulate", *CUBE, "run_dir=mine")
+    assert refused.status == 2
+    assert "mine/recording.h5 exists" in refused.err
+    assert Path("mine/recording.h5").read_text() == "mine"
+
+
 def test_a_run_is_not_replaced_by_another(tactorch: Any, run: Path, recording: Path) -> None:
     before = contents(run)
     refused = tactorch("invert", f"recording={recording}", f"run_dir={run}", *QUICK)

@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from tactorch.cli.console import ProgressCallback, log, progress
+from tactorch.cli.existing import check_file
 from tactorch.cli.sensor.frames import OVER_TIME, RunFiles
 from tactorch.cli.sensor.inputs import FrameSequence, build_chain
 from tactorch.cli.sensor.options import RecordSettings
@@ -50,6 +51,8 @@ def run(cfg: RecordSettings) -> Path:
     """Record a session; returns the recording's path."""
     files = RunFiles("record", _TABLE, _PRESSES)
     out = files.folder / _RECORDING if cfg.out is None else cfg.out
+    if cfg.out is None:
+        check_file(out, cfg.overwrite)
     target = cfg.object if isinstance(cfg.object, VirtualCube) else cfg.object.mesh()
     material = material_spec(cfg.material)
     frames, chain = build_chain(cfg, once=True, endless=cfg.as_they_end)

@@ -6,7 +6,6 @@ elements that `write_mesh` writes. Others are skipped.
 
 import logging
 import re
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +17,7 @@ from tactorch.budget import read_content
 from tactorch.errors import MeshError
 from tactorch.mesh.formats.cells import SOLIDS, Cells, MeshFile
 from tactorch.mesh.formats.groups import regions_of_groups
+from tactorch.mesh.formats.numbers import parse_numbers
 
 _log = logging.getLogger(__name__)
 _SHAPES = {
@@ -75,8 +75,7 @@ class _Numbers:
         self._layout, self._start = layout, 0
         self._content: bytes | np.ndarray = content
         if not layout:
-            with warnings.catch_warnings(action="error"):  # of text that is no number
-                self._content = np.fromstring(content.decode("ascii"), sep=" ")
+            self._content = parse_numbers(content)
 
     def take(self, kinds: str, rows: int = 1) -> Float[np.ndarray, "rows k"]:
         """Return rows of integers (i), sizes (n) and floating-point numbers (d)."""

@@ -1,15 +1,15 @@
 """Readers of surfaces: STL, Wavefront OBJ and PLY, each as text and, but for OBJ, binary."""
 
 import re
-import warnings
 from collections.abc import Callable
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from tactorch.budget import read_content
+from tactorch.mesh.formats.numbers import parse_numbers
 from tactorch.mesh.values import Points, Triangles
 
 #: Vertices, and faces in their order: each array has those of equally many vertices.
@@ -40,7 +40,7 @@ def read_stl(path: Path) -> Polygons:
             raise ValueError("it has no line 'endsolid' at its end")
         lines = (line.strip() for line in content.split(b"\n"))
         words = b" ".join(line[6:] for line in lines if line[:6].lower() == b"vertex")
-        corners = _numbers(words).reshape(-1, 3)
+        corners = parse_numbers(words).reshape(-1, 3)
     else:
         if len(content) < _HEADER + _TRIANGLE.itemsize * count:
             raise ValueError(f"it states {count} triangles, and has {len(content)} bytes")
@@ -49,11 +49,6 @@ def read_stl(path: Path) -> Polygons:
         )
         corners = table["corners"].reshape(-1, 3).astype(np.float64)
     return corners, [np.arange(len(corners)).reshape(-1, 3)]
-
-
-def _numbers(text: bytes) -> Float[np.ndarray, " n"]:
-    with warnings.catch_warnings(action="error"):  # of text that is no number
-        return np.asarray(np.fromstring(text.decode("ascii"), sep=" "))
 
 
 def read_obj(path: Path) -> Polygons:
@@ -95,7 +90,7 @@ def read_ply(path: Path) -> Polygons:
     order, elements = _ply_header(content[: end.start()].decode("ascii", errors="replace"))
     data = content[end.end() :]
     if not order:
-        data, order = _numbers(data).tobytes(), "="
+        data, order = parse_numbers(data).tobytes(), "="
         elements = [
             (name, count, [(key, "f8", number and "f8") for key, _, number in properties])
             for name, count, properties in elements
