@@ -28,7 +28,6 @@ class DemoOptions(SimulationOptions, invert.InversionOptions, CommandOptions):
     source: Literal["simulated", "published"] = option("simulated", "Source of the recording")
     path: Path | None = option(None, "Folder of the published case, for source=published")
     format: Any = option("published", "Format of the published case", section="format")
-    run_dir: str = option("outputs/demo", "Folder of the results and the log")
 
 
 def run(options: DemoOptions) -> Reconstruction:
