@@ -22,6 +22,9 @@ from tactorch.linalg.solver import IndefiniteError
 
 _MAX_COLUMNS = 256  # right-hand sides solved at once; bounds the memory on large meshes
 _MAX_ITERATIONS = 12  # of conjugate gradients
+# Right-hand sides for which a factorisation in single precision costs less than the iterations that
+# it saves.
+_MIN_COLUMNS = 4
 _UNSTABLE = (
     "The equilibrium is unstable (its tangent is not positive definite), so no derivative exists "
     "there; lower the load."
@@ -61,6 +64,8 @@ class Linearization:
             rhs = rhs.copy(order="K")
             rhs[self.fixed] = 0.0
         with self.lease.hold() as lease:
+            if self.rtol > 0.0 and rhs.ndim == 2 and rhs.shape[1] >= _MIN_COLUMNS:
+                self._renew(lease)
             iterate = partial(lease.solve_similar, self.tangent, rhs, self.rtol, _MAX_ITERATIONS)
             if self.rtol > 0.0 and (solution := iterate()) is not None:
                 return solution
@@ -71,6 +76,11 @@ class Linearization:
                 return lease.solve(rhs)
             except IndefiniteError as error:
                 raise ConvergenceError(_UNSTABLE) from error
+
+    def _renew(self, lease: Lease) -> None:
+        """Factor K in single precision, which preconditions later searches at similar tangents."""
+        if lease.single_precision and lease.direct and lease.factored is not self.tangent:
+            lease.factor(self.tangent)
 
     def unit_work(self, fields: Float[np.ndarray, "size k"]) -> Float[np.ndarray, "moduli k"]:
         """Return the transpose of dR/de (eq. 11) times nodal fields."""

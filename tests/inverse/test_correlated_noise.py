@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,6 +22,24 @@ def test_whitened_covariance_is_one(seed: int, k: int) -> None:
     np.testing.assert_allclose(root, root.T, atol=1e-12)
     covariance = np.eye(12) + patterns @ patterns.T
     np.testing.assert_allclose(root @ covariance @ root.T, np.eye(12), atol=1e-9)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_patterns_of_each_press_remain_sparse(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    blocks = [np.linalg.qr(rng.standard_normal((6, 3)))[0] * [5.0, 2.0, 0.1] for _ in range(2)]
+    each, shared = sp.block_diag(blocks, format="csr"), rng.standard_normal((12, 2))
+    noise = CorrelatedNoise(shared, CorrelatedNoise(each))
+    root, dense = noise.whiten(np.eye(12)), np.hstack([each.toarray(), shared])
+    covariance = np.eye(12) + dense @ dense.T
+    np.testing.assert_allclose(root @ covariance @ root.T, np.eye(12), atol=1e-9)
+    np.testing.assert_allclose(noise.transposed(np.eye(12)), root.T, atol=1e-12)
+    assert noise.log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1])
+    factors = rng.uniform(1.0, 5.0, 12)
+    wider = noise.widened(factors).whiten(np.eye(12))
+    covariance = np.eye(12) + (dense @ dense.T) / np.outer(factors, factors)
+    np.testing.assert_allclose(wider @ covariance @ wider.T, np.eye(12), atol=1e-9)
 
 
 def test_dependent_patterns_are_no_trouble() -> None:

@@ -71,46 +71,80 @@ def signal_rms(presses: tuple[Press, ...]) -> float:
     return rms
 
 
+_ORTHOGONAL = 1e-9  # largest product of patterns that are orthogonal, over their squares
+
+
 class CorrelatedNoise:
     """Errors common to several data: patterns of unknown size on top of white noise.
 
-    It whitens residuals whose covariance is the unit matrix plus B B^T. B has few columns, each the
-    pattern of an error of unit standard deviation, in standard deviations of the white noise. With
-    B^T B = V S^2 V^T and T = 1 + S^2 the symmetric root of the inverse is
-    1 - B V (T + T^(1/2))^(-1) V^T B^T. B may be sparse.
+    It whitens residuals whose covariance is the unit matrix plus B B^T, and that of further errors.
+    B has few columns, each the pattern of an error of unit standard deviation, in standard
+    deviations of the white noise. With B^T B = V S^2 V^T and T = 1 + S^2 the symmetric root of the
+    inverse is 1 - B V (T + T^(1/2))^(-1) V^T B^T. B may be sparse.
+
+    Args:
+        patterns: B.
+        further: Further errors. The residuals that they whiten are whitened by the root for their
+            whitened B, so that patterns of one press each, which are many, remain sparse.
     """
 
-    def __init__(self, patterns: Float[np.ndarray, "data k"] | sp.spmatrix) -> None:
-        self.patterns = patterns
+    def __init__(
+        self,
+        patterns: Float[np.ndarray, "data k"] | sp.spmatrix,
+        further: "CorrelatedNoise | None" = None,
+    ) -> None:
+        self.patterns, self._further = patterns, further
 
     @cached_property
-    def _modes(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
+    def _whitened(self) -> Float[np.ndarray, "data k"] | sp.spmatrix:
+        if self._further is None:
+            return self.patterns
+        return self._further.whiten(_dense(self.patterns))
+
+    @cached_property
+    def _modes(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"] | sp.spmatrix]:
         """Eigenvalues T, and V."""
-        products = self.patterns.T @ self.patterns
+        products = self._whitened.T @ self._whitened
+        if sp.issparse(products) and products.nnz:
+            squares = products.diagonal()
+            if abs(products - sp.diags(squares)).max() <= _ORTHOGONAL * squares.max():
+                return 1.0 + squares, sp.identity(len(squares), format="csr")
         squares, vectors = np.linalg.eigh(_dense(products))
         return 1.0 + np.maximum(squares, 0.0), vectors
 
     @cached_property
-    def _loss(self) -> Float[np.ndarray, "k k"]:
+    def _loss(self) -> Float[np.ndarray, "k k"] | sp.spmatrix:
         variances, vectors = self._modes
-        return (vectors / (variances + np.sqrt(variances))) @ vectors.T
+        return vectors @ sp.diags(1.0 / (variances + np.sqrt(variances))) @ vectors.T
 
     @property
     def log_determinant(self) -> float:
         """Logarithm of the determinant of the covariance of the residuals."""
-        return float(np.log(self._modes[0]).sum())
+        further = 0.0 if self._further is None else self._further.log_determinant
+        return further + float(np.log(self._modes[0]).sum())
 
     def widened(self, factors: Float[np.ndarray, " data"]) -> "CorrelatedNoise":
         """Return the same errors relative to white noise that is `factors` times as large."""
-        return CorrelatedNoise(self.patterns / factors[:, None])
+        further = None if self._further is None else self._further.widened(factors)
+        return CorrelatedNoise(sp.diags(1.0 / factors) @ self.patterns, further)
 
     def whiten(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
-        """Return whitened residuals or their derivatives; the operator is symmetric."""
-        if values.ndim == 1 and isinstance(self.patterns, np.ndarray):
+        """Return whitened residuals or their derivatives."""
+        return self._own(values if self._further is None else self._further.whiten(values))
+
+    def transposed(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
+        """Return the transpose of the whitening times values."""
+        values = self._own(values)
+        return values if self._further is None else self._further.transposed(values)
+
+    def _own(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
+        """Return the root for the own patterns times values; it is symmetric."""
+        patterns = self._whitened
+        if values.ndim == 1 and isinstance(patterns, np.ndarray):
             # Not by BLAS: see `tactorch.linalg.dense`.
-            inner = np.einsum("kl,l->k", self._loss, np.einsum("dl,d->l", self.patterns, values))
-            return values - np.einsum("dk,k->d", self.patterns, inner)
-        return values - self.patterns @ (self._loss @ (self.patterns.T @ values))
+            inner = np.einsum("kl,l->k", self._loss, np.einsum("dl,d->l", patterns, values))
+            return values - np.einsum("dk,k->d", patterns, inner)
+        return values - patterns @ (self._loss @ (patterns.T @ values))
 
 
 def _dense(matrix: np.ndarray | sp.spmatrix) -> np.ndarray:
@@ -194,6 +228,10 @@ class DataModel:
         """Return data in standard deviations of each, or derivatives, in independent ones."""
         return values if self.correlated is None else self.correlated.whiten(values)
 
+    def transposed(self, values: Float[np.ndarray, "data *k"]) -> Float[np.ndarray, "data *k"]:
+        """Return the transpose of `whiten` times values."""
+        return values if self.correlated is None else self.correlated.transposed(values)
+
     def widened(self, factors: Float[np.ndarray, " presses"]) -> "DataModel":
         """Return the data with the standard deviations of presses multiplied by factors."""
         observations = tuple(
@@ -210,14 +248,13 @@ class DataModel:
         """Logarithm of the determinant of the covariance, relative to that of white noise."""
         return 0.0 if self.correlated is None else self.correlated.log_determinant
 
-    def with_errors(self, patterns: Float[np.ndarray, "data k"]) -> "DataModel":
+    def with_errors(self, patterns: Float[np.ndarray, "data k"] | sp.spmatrix) -> "DataModel":
         """Return the data with further errors that they have in common.
 
         Each column is the pattern of an error of unit standard deviation, in standard deviations
         of the white noise.
         """
-        known = [] if self.correlated is None else [_dense(self.correlated.patterns)]
-        return replace(self, correlated=CorrelatedNoise(np.hstack([*known, patterns])))
+        return replace(self, correlated=CorrelatedNoise(patterns, self.correlated))
 
     def shifted(self, offsets: Sequence[Float[np.ndarray, " p"]]) -> "DataModel":
         """Return the data of each press with offsets added, mm or N."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, TypeAlias
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 from tactorch.inverse.errors.kept import KeptRims
@@ -76,10 +77,10 @@ class ErrorSource(ABC):
         return 0.0
 
     @abstractmethod
-    def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
-        """Return changes of the data by independent errors of unit deviation.
+    def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"] | sp.csr_matrix:
+        """Return changes of the data by independent errors of unit deviation, (data, k).
 
-        The unit is the standard deviation of the white noise.
+        They are sparse where each changes one press only and there are many. The unit is the standard deviation of the white noise.
         """
 
     def sentence(self, level: float) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Float
 
 from tactorch.inverse.data.observations import DataModel
@@ -55,10 +56,10 @@ class ErrorModel:
         """Return the data with errors of these deviations, whose covariance is computed once."""
         key = frozenset(levels.items())
         if key not in self._data:
-            data = self.presses.problem.data
-            for error in self.errors:
-                if level := levels.get(error.name, 0.0):
-                    data = data.with_errors(level * self._patterns[error.name])
+            data, used = self.presses.problem.data, [e.name for e in self.errors if levels.get(e.name)]
+            # Sparse patterns remain so where they are the first.
+            for name in sorted(used, key=lambda name: not sp.issparse(self._patterns[name])):
+                data = data.with_errors(levels[name] * self._patterns[name])
             self._data[key] = data
         return self._data[key]
 

@@ -32,8 +32,8 @@ class Forces(ErrorSource):
         """Return zero; a palpation has smooth errors instead."""
         return None if is_palpation(presses.problem.recording) else 0.0
 
-    def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
-        """Return orthogonal changes of each press, whose covariance is that of its errors."""
+    def patterns(self, presses: MeasuredPresses) -> sp.csr_matrix:
+        """Return orthogonal changes of each press, (data, k), whose covariance is that of its errors."""
         recording, evaluation = presses.problem.recording, presses.evaluation
         points, data = recording.mesh.points, evaluation.data.observations
 
@@ -49,7 +49,7 @@ class Forces(ErrorSource):
             columns = evaluation.load_response(i, [forces * shape[:, None] for shape in shapes])
             return principal(columns, self.smallest)
 
-        return sp.block_diag(map_cases(work, len(recording.presses))).toarray()
+        return sp.block_diag(map_cases(work, len(recording.presses)), format="csr")
 
 
 def _gradients(

@@ -328,7 +328,7 @@ class Evaluation:
 
     def _of_data(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " data"]:
         """Weights of the residuals as weights of the data in standard deviations."""
-        return self.data.whiten(self._misfit.derivative(self._white, self._begins, weights))
+        return self.data.transposed(self._misfit.derivative(self._white, self._begins, weights))
 
     def _join(self, parts: list[np.ndarray]) -> Float[np.ndarray, "data *k"]:
         """Derivatives of the residuals from those of each press in standard deviations."""

@@ -3,9 +3,9 @@
 The model is linearised at its fit, where data and parameters are jointly normal, so that the
 prediction of held-out data follows from one fit of all (S. Sundararajan and S. S. Keerthi,
 "Predictive approaches for choosing hyperparameters in Gaussian processes", Neural Computation 13
-(2001), 1103-1118). With the precision Q = W (1 - J C J^T) W of all data, W the whitening of their
+(2001), 1103-1118). With the precision Q = W^T (1 - J C J^T) W of all data, W the whitening of their
 errors, C the posterior covariance of the parameters, J their derivatives of the whitened residuals
-r, the data of a contact g are predicted with the precision Q_gg, and missed by Q_gg^-1 (W r)_g.
+r, the data of a contact g are predicted with the precision Q_gg, and missed by Q_gg^-1 (W^T r)_g.
 """
 
 from collections.abc import Sequence
@@ -41,13 +41,13 @@ def held_out_score(
     count = len(residuals)
     if count > _MAX_DATA or len(contacts) < 2:
         return None
-    whitening = data.whiten(np.eye(count))
-    unknown = np.eye(count) - jacobian @ covariance @ jacobian.T
-    precision, weighted = whitening @ unknown @ whitening, whitening @ residuals
+    columns, weighted = data.transposed(jacobian), data.transposed(residuals)
     ends, total = np.cumsum([0, *data.counts]), 0.0
     for contact in contacts:
         rows = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in contact])
-        factor = cho_factor(precision[np.ix_(rows, rows)], lower=True)
+        whitening = data.whiten(np.eye(count)[:, rows])
+        precision = whitening.T @ whitening - columns[rows] @ covariance @ columns[rows].T
+        factor = cho_factor(precision, lower=True)
         error = weighted[rows]
         total += float(np.log(factor[0].diagonal()).sum() - 0.5 * error @ cho_solve(factor, error))
     return (total + float(np.log(data.scale).sum())) / count
