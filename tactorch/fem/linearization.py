@@ -78,9 +78,12 @@ class Linearization:
                 raise ConvergenceError(_UNSTABLE) from error
 
     def _renew(self, lease: Lease) -> None:
-        """Factor K in single precision, which preconditions later searches at similar tangents."""
-        if lease.single_precision and lease.direct and lease.factored is not self.tangent:
-            lease.factor(self.tangent)
+        """Factor K in single precision, once for all load cases at these moduli.
+
+        It preconditions their solutions, and later searches at similar moduli.
+        """
+        if lease.single_precision and lease.direct and lease.about is not self.youngs:
+            lease.factor(self.tangent, self.youngs)
 
     def unit_work(self, fields: Float[np.ndarray, "size k"]) -> Float[np.ndarray, "moduli k"]:
         """Return the transpose of dR/de (eq. 11) times nodal fields."""

@@ -142,6 +142,25 @@ class Newton:
         state = (self.assembly, self.youngs, result.displacement, result.response)
         return Linearization(*state, values, self._fixed, self._lease, rtol)
 
+    def unbalanced(
+        self, u: Float[np.ndarray, "nodes 3"]
+    ) -> tuple[Float[np.ndarray, " unknowns"], float] | None:
+        """Return the unbalanced forces (N) at the full load, and the largest over that of all.
+
+        None where an element is inverted.
+        """
+        if (response := self._respond(u)) is None:
+            return None
+        residual, scale = self._residual(response, u, 1.0)
+        return residual, float(np.abs(residual).max()) / (scale or 1.0)
+
+    def factor_at(self, u: Float[np.ndarray, "nodes 3"], lease: Lease) -> bool:
+        """Factor the tangent at displacements; return whether it is positive definite there."""
+        if (response := self._respond(u)) is None:
+            return False
+        tangent = self._tangent(response, u, 1.0)
+        return lease.factor(self.pattern.apply_dirichlet(tangent, self._fixed), self.youngs)
+
     def support_forces(self, result: EquilibriumResult) -> Float[np.ndarray, "nodes 3"]:
         """Return the forces of the fixed supports on the body at an equilibrium, N."""
         assert result.response is not None

@@ -20,6 +20,7 @@ class Lease:
     def __init__(self, solver: Solver, pool: "SolverPool") -> None:
         self._pool = pool
         self.single_precision, self.direct = solver.single_precision, solver.direct
+        self.about: object = None  # what the last factorisation is about, as given to `factor`
         self._take(solver)
 
     def _take(self, solver: Solver) -> None:
@@ -52,8 +53,9 @@ class Lease:
         self._return.detach()
         return Lease(solver, self._pool)
 
-    def factor(self, values: Float[np.ndarray, " nnz"]) -> bool:
-        """See `Solver.factor`."""
+    def factor(self, values: Float[np.ndarray, " nnz"], about: object = None) -> bool:
+        """See `Solver.factor`; `about` is kept as an attribute."""
+        self.about = about
         if self._solver is None:
             self._take(self._pool.take(self.single_precision))
         assert self._solver is not None

@@ -1,6 +1,6 @@
 """The forward problem of all presses: equilibria, predictions and their derivatives (eq. 7)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,6 +21,7 @@ from tactorch.fem import (
     make_material,
 )
 from tactorch.fem.body import check_youngs
+from tactorch.fem.chord import approach
 from tactorch.fem.contact import Contact
 from tactorch.fem.elements import ConsistentLoads
 from tactorch.inverse.data.misfit import Misfit, Squares
@@ -37,6 +38,7 @@ Columns = Float[np.ndarray, "data k"]  # changes of the data
 NodalField = Float[np.ndarray, "nodes 3"]
 NodalFields = Float[np.ndarray, "k nodes 3"]
 
+_AT_ONCE = 12  # presses whose equilibria are searched together
 _MAX_RELATIVE_CHANGE = 0.5  # of a modulus, for which du/de predicts u
 
 
@@ -500,23 +502,31 @@ class InverseProblem:
 
         contacts = self._contacts
 
-        def work(i: int, after: Newton | None = None) -> _PressSolution:
+        def make(i: int, after: Newton | None = None) -> tuple[PressModel, Newton]:
             press = self.recording.presses[i]
             model = PressModel.of(press, mesh, values)
             supports = Supports(press.fixed, press.prescribed, press.springs)
             forces = self.body.discretisation.consistent_loads(model.forces) + weight
-            if near is not None and take_over:
-                after = near.search(i)
             lease = None if self._leases is None else self._leases[i]
-            newton = self.body.search(
+            return model, self.body.search(
                 youngs, forces, supports, assembly=assembly, after=after, lease=lease,
                 contact=contacts[i],
             )  # fmt: skip
-            equilibrium = newton.run(None if starts is None else starts[i])
+
+        def work(i: int, after: Newton | None = None) -> _PressSolution:
+            if near is not None and take_over:
+                after = near.search(i)
+            model, newton = make(i, after)
+            start = None if starts is None else near_equilibrium.get(i, starts[i])
+            equilibrium = newton.run(start)
             if not equilibrium.converged:
-                raise ConvergenceError(f"{press.label} (index {i}): {equilibrium.reason}")
+                label = self.recording.presses[i].label
+                raise ConvergenceError(f"{label} (index {i}): {equilibrium.reason}")
             return _PressSolution(model, newton, equilibrium, self._readings[i])
 
+        near_equilibrium: dict[int, NodalField] = {}
+        if starts is not None and self._leases is not None:
+            near_equilibrium = self._approach(starts, lambda i: make(i)[1])
         self.evaluations += 1
         count = len(self.data.observations)
         parts = min(worker_count(), count) if chained else count
@@ -531,6 +541,27 @@ class InverseProblem:
         found = dict(pair for part in map_cases(in_turn, len(chains)) for pair in part)
         solutions = [found[i] for i in range(count)]
         return Evaluation(youngs, values, weight, solutions, self.data, self.derivative_rtol)
+
+
+    def _approach(
+        self, starts: Sequence[NodalField], search: Callable[[int], Newton]
+    ) -> dict[int, NodalField]:
+        """Return displacements near equilibrium of presses that share factorisations, by number."""
+        assert self._leases is not None
+        chunks: list[list[int]] = []
+        for lease in dict.fromkeys(self._leases):
+            numbers = [i for i, own in enumerate(self._leases) if own is lease]
+            numbers = [i for i in numbers if self._contacts[i] is None]
+            parts = max(worker_count(), len(numbers) // _AT_ONCE)
+            chunks += [numbers[k::parts] for k in range(parts) if numbers[k::parts]]
+
+        def work(k: int) -> list[NodalField]:
+            chunk = chunks[k]
+            searches = [search(i) for i in chunk]
+            return approach(searches, [starts[i] for i in chunk], self._leases[chunk[0]])
+
+        found = map_cases(work, len(chunks))
+        return {i: u for chunk, us in zip(chunks, found, strict=True) for i, u in zip(chunk, us, strict=True)}
 
 
 def make_body(
