@@ -58,16 +58,22 @@ class Linearization:
         if lease.factored is not self.tangent and not lease.factor(self.tangent):
             raise ConvergenceError(_UNSTABLE)
 
-    def solve(self, rhs: Float[np.ndarray, "size *k"]) -> Float[np.ndarray, "size *k"]:
-        """Return the solution of K x = rhs, with x = 0 at fixed unknowns; see `factor`."""
+    def solve(
+        self, rhs: Float[np.ndarray, "size *k"], rtol: float | None = None
+    ) -> Float[np.ndarray, "size *k"]:
+        """Return the solution of K x = rhs, with x = 0 at fixed unknowns; see `factor`.
+
+        A relative residual `rtol` replaces that of the attribute where solutions are iterative.
+        """
+        rtol = rtol if rtol and self.rtol else self.rtol
         if self.fixed.any():
             rhs = rhs.copy(order="K")
             rhs[self.fixed] = 0.0
         with self.lease.hold() as lease:
-            if self.rtol > 0.0 and rhs.ndim == 2 and rhs.shape[1] >= _MIN_COLUMNS:
+            if rtol > 0.0 and rhs.ndim == 2 and rhs.shape[1] >= _MIN_COLUMNS:
                 self._renew(lease)
-            iterate = partial(lease.solve_similar, self.tangent, rhs, self.rtol, _MAX_ITERATIONS)
-            if self.rtol > 0.0 and (solution := iterate()) is not None:
+            iterate = partial(lease.solve_similar, self.tangent, rhs, rtol, _MAX_ITERATIONS)
+            if rtol > 0.0 and (solution := iterate()) is not None:
                 return solution
             self._factor(lease)
             if lease.single_precision and (solution := iterate()) is not None:
@@ -100,12 +106,17 @@ class Linearization:
         forces = self.assembly.internal_force(self.response, change)
         return -self.solve(forces.ravel()).reshape(-1, 3)
 
-    def force_response(self, forces: Float[np.ndarray, "k nodes 3"]) -> list[np.ndarray]:
-        """Return the displacement (nodes, 3) due to each of k changes of the forces (N), mm."""
+    def force_response(
+        self, forces: Float[np.ndarray, "k nodes 3"], rtol: float | None = None
+    ) -> list[np.ndarray]:
+        """Return the displacement (nodes, 3) due to each of k changes of the forces (N), mm.
+
+        See `solve` for `rtol`.
+        """
         if not len(forces):
             return []
         rhs = np.asfortranarray(forces.reshape(len(forces), -1).T)
-        return list(np.ascontiguousarray(self.solve(rhs).T).reshape(forces.shape))
+        return list(np.ascontiguousarray(self.solve(rhs, rtol).T).reshape(forces.shape))
 
     def parameter_forces(
         self, *, poisson: bool = False, stretch: bool = False

@@ -328,7 +328,7 @@ def test_the_last_linear_response_is_kept_with_other_data(
 def force_patterns(problem: InverseProblem, evaluation: Evaluation, smallest: float) -> np.ndarray:
     forces = Forces()
     forces.smallest = smallest
-    return forces.patterns(MeasuredPresses(problem, linearised=evaluation))
+    return forces.patterns(MeasuredPresses(problem, linearised=evaluation)).toarray()
 
 
 def test_force_patterns_are_changes_by_errors_of_the_forces(

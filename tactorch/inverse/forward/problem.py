@@ -282,10 +282,15 @@ class Evaluation:
         scale = self.data.observations[number].scale[:, None]
         return self.response_to_loads(number, loads) * scale
 
-    def response_to_loads(self, number: int, loads: NodalFields) -> Columns:
-        """Return the changes of the data of a press (mm or N) by loads of all nodes, N."""
+    def response_to_loads(
+        self, number: int, loads: NodalFields, rtol: float | None = None
+    ) -> Columns:
+        """Return the changes of the data of a press (mm or N) by loads of all nodes, N.
+
+        `rtol` is the relative residual of the solves, by default that of derivatives.
+        """
         case = self.sensitivities[number]
-        moved = case.linearization.force_response(loads)
+        moved = case.linearization.force_response(loads, rtol)
         return np.column_stack([case.observe(u) for u in moved])
 
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Moduli:

@@ -45,8 +45,10 @@ def held_out_score(
     ends, total = np.cumsum([0, *data.counts]), 0.0
     for contact in contacts:
         rows = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in contact])
-        whitening = data.whiten(np.eye(count)[:, rows])
-        precision = whitening.T @ whitening - columns[rows] @ covariance @ columns[rows].T
+        units = np.zeros((count, len(rows)))
+        units[rows, np.arange(len(rows))] = 1.0
+        precision = data.transposed(data.whiten(units))[rows]
+        precision -= columns[rows] @ covariance @ columns[rows].T
         factor = cho_factor(precision, lower=True)
         error = weighted[rows]
         total += float(np.log(factor[0].diagonal()).sum() - 0.5 * error @ cho_solve(factor, error))

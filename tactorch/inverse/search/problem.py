@@ -19,6 +19,7 @@ from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites, fit_shapes
 from tactorch.inverse.fit.starts import uniform_fit
 from tactorch.inverse.forward.problem import Evaluation, InverseProblem
+from tactorch.inverse.forward.reduced import ReducedProblem
 from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
 from tactorch.inverse.search.correction import Correction
 from tactorch.inverse.search.matched import MatchedFilter
@@ -107,9 +108,9 @@ class ShapeProblem:
         self.least_errors = self.errors.least
         self._corrected_at: ShapeFit | None = None
         youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
-        self.matched = MatchedFilter.of(self.linear, youngs)
+        self.reduced = ReducedProblem(self.linear, youngs)
+        self.matched = MatchedFilter.of(self.reduced, youngs)
         self.prior = ShapePrior.of(recording.mesh, youngs)
-        self._last: tuple[ShapeFit, Evaluation] | None = None
         self._floored = noise.floored(recording)
 
     @property
@@ -202,7 +203,7 @@ class ShapeProblem:
     ) -> ShapeFit:
         """Return predictions of quadratic elements as a fit with derivatives of linear ones."""
         point = ShapesOnSites(start.field, self._linear_sites).at(z)
-        coarse = self.linear.evaluate(point.youngs).with_data(evaluation.data)
+        coarse = self.reduced.evaluate(point.youngs).with_data(evaluation.data)
         return ShapeFit.at(point, evaluation, point.jacobian(coarse))
 
     def precise(self, model: Model) -> Model:
@@ -269,25 +270,22 @@ class ShapeProblem:
             return model
 
     def try_model(self, start: Start, offsets: list[np.ndarray]) -> tuple[Trial, np.ndarray]:
-        """Fit with linear elements, whose predictions have errors; return evidence and parameters.
+        """Fit with the reduced model, whose predictions have errors; return evidence and parameters.
 
         Args:
             start: Model and parameters to start from.
             offsets: See `offsets`.
         """
         self._check()
-        problem = self.linear.with_data(self.data(start.errors).shifted(offsets))
-        try:
-            fit, _ = fit_shapes(
-                problem, start.field, start.z, sites=self._linear_sites,
-                max_iterations=_TRIAL_STEPS, tolerance=_TOLERANCE, give_up=self._never,
-            )  # fmt: skip
-        except ConvergenceError:
-            return Trial(np.inf, np.inf, 0.0), start.z
+        problem = self.reduced.with_data(self.data(start.errors).shifted(offsets))
+        fit, _ = fit_shapes(
+            problem, start.field, start.z, sites=self._linear_sites,
+            max_iterations=_TRIAL_STEPS, tolerance=_TOLERANCE, give_up=self._never,
+        )  # fmt: skip
         return Trial(fit.chi2, fit.misfit, -fit.log_evidence(np.inf)), fit.z
 
     def offsets(self, model: Model) -> list[np.ndarray]:
-        """Return predictions of linear less those of quadratic elements at a model."""
+        """Return predictions of the reduced model less those of quadratic elements at a model."""
         pairs = zip(self._coarse(model).predicted, model.evaluation.predicted, strict=True)
         return [linear - quadratic for linear, quadratic in pairs]
 
@@ -299,7 +297,7 @@ class ShapeProblem:
     def coarse_jacobian(
         self, model: Model, field: ShapeField, z: Float[np.ndarray, " size"]
     ) -> Float[np.ndarray, "data size"]:
-        """Return the derivatives of the residuals of white noise, by linear elements.
+        """Return the derivatives of the residuals of white noise, by the reduced model.
 
         Args:
             model: The model.
@@ -310,11 +308,9 @@ class ShapeProblem:
         return ShapesOnSites(field, self._linear_sites).at(z).jacobian(coarse)
 
     def _coarse(self, model: Model) -> Evaluation:
-        """Return the predictions of linear elements; those of the last model are kept."""
-        if self._last is None or self._last[0] is not model.fit:
-            field = ShapesOnSites(model.fit.field, self._linear_sites).at(model.fit.z)
-            self._last = model.fit, self.linear.evaluate(field.youngs)
-        return self._last[1]
+        """Return the predictions of the reduced model."""
+        field = ShapesOnSites(model.fit.field, self._linear_sites).at(model.fit.z)
+        return self.reduced.evaluate(field.youngs)
 
     def linearised(
         self,
