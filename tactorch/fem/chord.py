@@ -66,7 +66,8 @@ def approach(
     """
     cases = [_Case(search, u, u) for search, u in zip(searches, starts, strict=True)]
     with lease.hold() as held:
-        if not held.direct or (held.factored is None and not searches[0].factor_at(starts[0], held)):
+        is_factored = held.factored is not None
+        if not held.direct or not (is_factored or searches[0].factor_at(starts[0], held)):
             return list(starts)
         active = cases
         for _ in range(_MAX_ITERATIONS):

@@ -80,7 +80,8 @@ class ErrorSource(ABC):
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"] | sp.csr_matrix:
         """Return changes of the data by independent errors of unit deviation, (data, k).
 
-        They are sparse where each changes one press only and there are many. The unit is the standard deviation of the white noise.
+        They are sparse where each changes one press only and there are many. The unit is the
+        standard deviation of the white noise.
         """
 
     def sentence(self, level: float) -> str:

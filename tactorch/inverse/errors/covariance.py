@@ -56,7 +56,8 @@ class ErrorModel:
         """Return the data with errors of these deviations, whose covariance is computed once."""
         key = frozenset(levels.items())
         if key not in self._data:
-            data, used = self.presses.problem.data, [e.name for e in self.errors if levels.get(e.name)]
+            data = self.presses.problem.data
+            used = [error.name for error in self.errors if levels.get(error.name)]
             # Sparse patterns remain so where they are the first.
             for name in sorted(used, key=lambda name: not sp.issparse(self._patterns[name])):
                 data = data.with_errors(levels[name] * self._patterns[name])

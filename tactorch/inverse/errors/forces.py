@@ -33,7 +33,7 @@ class Forces(ErrorSource):
         return None if is_palpation(presses.problem.recording) else 0.0
 
     def patterns(self, presses: MeasuredPresses) -> sp.csr_matrix:
-        """Return orthogonal changes of each press, (data, k), whose covariance is that of its errors."""
+        """Return orthogonal changes of each press by independent errors, (data, k)."""
         recording, evaluation = presses.problem.recording, presses.evaluation
         points, data = recording.mesh.points, evaluation.data.observations
 

@@ -547,15 +547,15 @@ class InverseProblem:
         solutions = [found[i] for i in range(count)]
         return Evaluation(youngs, values, weight, solutions, self.data, self.derivative_rtol)
 
-
     def _approach(
         self, starts: Sequence[NodalField], search: Callable[[int], Newton]
     ) -> dict[int, NodalField]:
         """Return displacements near equilibrium of presses that share factorisations, by number."""
-        assert self._leases is not None
+        leases = self._leases
+        assert leases is not None
         chunks: list[list[int]] = []
-        for lease in dict.fromkeys(self._leases):
-            numbers = [i for i, own in enumerate(self._leases) if own is lease]
+        for lease in dict.fromkeys(leases):
+            numbers = [i for i, own in enumerate(leases) if own is lease]
             numbers = [i for i in numbers if self._contacts[i] is None]
             parts = max(worker_count(), len(numbers) // _AT_ONCE)
             chunks += [numbers[k::parts] for k in range(parts) if numbers[k::parts]]
@@ -563,10 +563,14 @@ class InverseProblem:
         def work(k: int) -> list[NodalField]:
             chunk = chunks[k]
             searches = [search(i) for i in chunk]
-            return approach(searches, [starts[i] for i in chunk], self._leases[chunk[0]])
+            return approach(searches, [starts[i] for i in chunk], leases[chunk[0]])
 
         found = map_cases(work, len(chunks))
-        return {i: u for chunk, us in zip(chunks, found, strict=True) for i, u in zip(chunk, us, strict=True)}
+        return {
+            i: u
+            for chunk, fields in zip(chunks, found, strict=True)
+            for i, u in zip(chunk, fields, strict=True)
+        }
 
 
 def make_body(

@@ -8,7 +8,6 @@ needs the sensitivities of a uniform body only, and an evaluation takes one prod
 
 from collections.abc import Sequence
 from copy import copy
-from functools import cached_property
 from typing import Any
 
 import numpy as np
