@@ -30,8 +30,9 @@ DEGREES = (2, 4)  # of smooth backgrounds
 # reduces that of pure noise by about log n, which is 6.7 for the balls of the matched filter.
 MIN_CANDIDATE_GAIN = 8.0
 MAX_LOG_ODDS = 1e6  # where the model without an inclusion has no equilibrium
-# Range of the log-contrast of a start with the reduced model, and its limit with quadratic elements.
-# The far field of a ball, (c - 1) / (c + 3/2), is 0.6 and 0.7 of its limit there, see `moderate`.
+# Range of the log-contrast of a start with the reduced model, and its limit with quadratic
+# elements: the far field of a ball, (c - 1) / (c + 3/2), is 0.6 and 0.7 of its limit there, see
+# `moderate`.
 _START_CONTRAST, _MAX_START_CONTRAST = (0.3, 1.5), 2.0
 
 

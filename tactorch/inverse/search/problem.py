@@ -270,7 +270,7 @@ class ShapeProblem:
             return model
 
     def try_model(self, start: Start, offsets: list[np.ndarray]) -> tuple[Trial, np.ndarray]:
-        """Fit with the reduced model, whose predictions have errors; return evidence and parameters.
+        """Return the evidence and the parameters of a fit with the reduced model.
 
         Args:
             start: Model and parameters to start from.

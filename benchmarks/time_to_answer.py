@@ -1,0 +1,168 @@
+"""Time from a recording to the result of the search for inclusions, posterior included.
+
+    python benchmarks/time_to_answer.py [--before CHECKOUT] [--only NAME ...] [--cache FOLDER]
+        [--out FOLDER]
+
+The recordings are those of `true_objects.py` (solved on other, finer meshes): whole sides, nine
+patches, a dome under fingers, and patches that are misplaced by 0.3 mm. Each is inverted in a
+process of its own, by the package of this checkout, and with `--before` also by that of another
+one, one after the other. `cpu` is the processor time of the process, `seconds` the elapsed time,
+both of `find_shapes` alone; `GiB` is the largest memory. Stages of the search are those that it
+logs, with the processor time at their end. `centre` is the distance of the first inclusion's centre
+(mm), `E` and `R` its modulus and radius over those of the object, and `in 90 %` whether these are
+within their intervals. The last line printed is one JSON object.
+"""
+
+import argparse
+import json
+import logging
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+CASES = {
+    "sides": "ball-sides4-40db",
+    "patches": "ball-patches-40db",
+    "fingers": "dome-fingers-40db",
+    "misplaced": "ball-patches-40db-places",
+}
+PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
+HEADER = """\
+| case | version | cpu | seconds | GiB | chi2 | centre | E | R | in 90 % |
+|---|---|---|---|---|---|---|---|---|---|"""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run all cases; print the table and the JSON line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--before", type=Path, help="checkout of another version")
+    parser.add_argument("--only", nargs="+", choices=CASES, default=list(CASES))
+    parser.add_argument("--cache", type=Path, help="folder of the noise-free recordings")
+    parser.add_argument("--out", type=Path, help="folder for time_to_answer.md and .json")
+    parser.add_argument("--invert", nargs=2, metavar=("CHECKOUT", "FILE"), help=argparse.SUPPRESS)
+    options = parser.parse_args(arguments)
+    if options.invert:
+        print(json.dumps(invert(*options.invert)))
+        return
+    from machine import OtherWork, write_results
+
+    meter, rows, lines = OtherWork(), [], [HEADER]
+    versions = {"now": ROOT} | ({"before": options.before.resolve()} if options.before else {})
+    print(HEADER, flush=True)
+    for name in options.only:
+        for version, checkout in versions.items():
+            row = {"case": name, "version": version, **run(name, checkout, options.cache)}
+            rows.append(row)
+            lines.append(describe(row))
+            print(lines[-1], flush=True)
+    result = {"rows": rows, "other_work": meter.share()}
+    if options.out is not None:
+        write_results(options.out, "time_to_answer", lines, result, PACKAGES)
+    print(json.dumps(result))
+
+
+def run(name: str, checkout: Path, cache: Path | None) -> dict[str, Any]:
+    """Invert the recording of a case by a checkout, in another process, and score the result."""
+    from true_cases import CASES as OBJECTS
+    from true_cases import make_recording
+
+    case = next(case for case in OBJECTS if case.name == CASES[name])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "recording.h5"
+        make_recording(case, cache).save(path)
+        command = [sys.executable, __file__, "--invert", str(checkout), str(path)]
+        done = subprocess.run(command, stdout=subprocess.PIPE, check=True, text=True)
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found | score(case, found["inclusions"])
+
+
+def score(case: Any, inclusions: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the errors of the first inclusion; none without one."""
+    import numpy as np
+    from true_cases import Truth
+
+    if not inclusions:
+        return {}
+    truth, first = Truth.of(case.body), inclusions[0]
+    center = truth.points[truth.lumps == 1].mean(axis=0)
+    youngs, radius = float(truth.lump_moduli_mpa[0]), float(truth.lump_radii_mm[0])
+    within = [
+        low <= true <= high
+        for (low, high), true in ((first["youngs_90"], youngs), (first["radius_90"], radius))
+    ]
+    return {
+        "center_error_mm": float(np.linalg.norm(center - first["center_mm"])),
+        "youngs_ratio": first["youngs_mpa"] / youngs,
+        "radius_ratio": first["radius_mm"] / radius,
+        "within_90": within,
+    }
+
+
+def describe(row: dict[str, Any]) -> str:
+    """Return a row of the table."""
+    cells = [row["case"], row["version"], f"{row['cpu']:.0f}", f"{row['seconds']:.0f}"]
+    cells += [f"{row['gib']:.1f}", f"{row['chi2']:.4f}"]
+    if "center_error_mm" in row:
+        cells += [f"{row[key]:.3f}" for key in ("center_error_mm", "youngs_ratio", "radius_ratio")]
+        cells.append(", ".join("yes" if within else "no" for within in row["within_90"]))
+    return f"| {' | '.join(cells)} |"
+
+
+def invert(checkout: str, path: str) -> dict[str, Any]:
+    """Return figures of a search by the package of a checkout."""
+    sys.path.insert(0, checkout)
+    import tactorch
+    from tactorch.inverse.search import find_shapes
+    from tactorch.recording import Recording
+
+    assert tactorch.__file__ is not None
+    assert Path(tactorch.__file__).is_relative_to(checkout), tactorch.__file__
+    from machine import peak_gib
+
+    recording, stages = Recording.load(path), Stages()
+    logging.getLogger("tactorch").addHandler(stages)
+    logging.getLogger("tactorch").setLevel(logging.INFO)
+    began, cpu = time.perf_counter(), time.process_time()
+    result = find_shapes(recording)
+    return {
+        "cpu": time.process_time() - cpu,
+        "seconds": time.perf_counter() - began,
+        "gib": peak_gib(),
+        "chi2": result.chi2,
+        "errors": dict(result.errors),
+        "models": [entry["model"] for entry in result.history],
+        "stages": stages.found,
+        "inclusions": [
+            {
+                "center_mm": i.shape.center_mm, "radius_mm": i.shape.radius_mm,
+                "youngs_mpa": i.youngs_mpa, "youngs_90": i.youngs_90_mpa,
+                "radius_90": i.radius_90_mm, "probability": i.probability,
+            }
+            for i in result.inclusions
+        ],
+    }  # fmt: skip
+
+
+class Stages(logging.Handler):
+    """What a search logs, with the processor time and the elapsed time."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[tuple[str, float, float]] = []
+        self._began = time.process_time(), time.perf_counter()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a message."""
+        cpu, elapsed = time.process_time() - self._began[0], time.perf_counter() - self._began[1]
+        self.found.append((record.getMessage(), round(cpu, 2), round(elapsed, 2)))
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    main()
