@@ -1,5 +1,6 @@
 """One press: loads and supports of a soft object, and the measured motion of its surface."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -283,6 +284,16 @@ class Press:
             length = float(np.linalg.norm(self.direction))
             if abs(length - 1.0) > 1e-6:
                 raise self._error(f"direction has length {length:g}; give a unit vector, or None")
+
+
+def distinct(presses: Iterable[Press]) -> list[Press]:
+    """Return the first of presses that share their nodal fields and have no other displacements."""
+    seen: dict[Any, Press] = {}
+    for index, press in enumerate(presses):
+        by_nodes = press.probe is None or press.surface is not None
+        fields = () if by_nodes else tuple(map(id, press._shareable))
+        seen.setdefault(fields or index, press)
+    return list(seen.values())
 
 
 @lru_cache(64)

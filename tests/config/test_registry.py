@@ -18,8 +18,13 @@ class Own(Options):
 
 def test_installed_packages_are_searched_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The name of a component is looked up for each press that is saved."""
-    searches: list[int] = []
-    monkeypatch.setattr(module.metadata, "entry_points", lambda: searches.append(0) or EntryPoints())
+    searches = []
+
+    def search() -> EntryPoints:
+        searches.append(1)
+        return EntryPoints()
+
+    monkeypatch.setattr(module.metadata, "entry_points", search)
     for cached in (module.entry_points, module._installed):
         monkeypatch.setattr(module, cached.__name__, cache(cached.__wrapped__))
     monkeypatch.setattr(module, "REGISTRIES", {})
