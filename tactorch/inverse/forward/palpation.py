@@ -113,7 +113,7 @@ class PalpationEvaluation(Evaluation):
 
     def jacobian(self) -> Float[np.ndarray, "data moduli"]:
         """Return d residuals / d youngs, 1/MPa."""
-        return self._of_residuals(np.asarray(self._chain @ self._body.rates, dtype=np.float64))
+        return self._of_residuals(self._body.combined_rates(self._chain))
 
     def jacobian_times(self, change: Moduli) -> Float[np.ndarray, " data"]:
         """Return the change of the residuals by a change of the moduli (MPa)."""
