@@ -46,8 +46,10 @@ _CHUNK_BYTES = 1 << 28  # of the arrays of the places that are computed at once
 _PLACE_BYTES = 4e6  # that finding the points of the profiles of a place takes
 _KEPT = 0.25  # displacements that are kept, over the memory for a computation
 _NO_SHARE = 1e-6  # in the modulus under a contact, over the largest
-_SAME = 1e-6  # relative difference of moduli that are taken as equal
-_MAX_LOCAL = 3000  # unknowns of a change that is local
+# Relative difference of moduli that are taken as equal, as at the smooth boundary of an inclusion.
+_SAME = 1e-3
+# Unknowns of a change that is local: so many times the loads, as several models share them.
+_MANY, _MAX_LOCAL = 3, 3000
 T = TypeVar("T")
 
 
@@ -93,6 +95,7 @@ class Indentation:
                 "Presses at many places with one factorisation need material 'linear'; the "
                 f"material is {type(body.assembly.material).__name__}."
             )
+        self.last: _Anew | None = None
         self.body, self.places, self.supports = body, tuple(places), supports
         self.balls_mm = np.array([place.ball_mm for place in self.places])
         deepest = np.array([place.deepest_mm for place in self.places])
@@ -184,7 +187,7 @@ class Indentation:
     def is_small(self, elements: Int[np.ndarray, " e"]) -> bool:
         """Return whether solving for the unknowns of elements is quicker than for all places."""
         unknowns = len(self._green.unknowns(elements))
-        return unknowns <= min(len(_FRACTIONS) * len(self.places), _MAX_LOCAL)
+        return unknowns <= min(_MANY * len(_FRACTIONS) * len(self.places), _MAX_LOCAL)
 
     def solve(self, stiffness: Stiffness, profiles: int) -> "Iterator[_Part]":
         """Yield places with their displacements by the loads of the first profiles."""
@@ -263,23 +266,36 @@ class _Anew:
     """Solutions of a body at any moduli, for a part of the places at a time."""
 
     def __init__(self, indentation: Indentation, youngs: Float[np.ndarray, "m *q"]) -> None:
-        self._indentation, self._profiles = indentation, len(_FRACTIONS)
-        self._stiffness = Stiffness(indentation.body, indentation.supports, youngs)
+        self._indentation, self._profiles, self._youngs = indentation, len(_FRACTIONS), youngs
+        self._stiffness: Stiffness | None = None
         size = 12 * indentation.body.n_nodes * self._profiles * len(indentation.places)
+        if indentation.last is not None:
+            indentation.last.forget()
+        indentation.last = self
         self._kept: list[_Part] | None = [] if size < _KEPT * work_bytes() else None
         self.compliance = np.empty_like(indentation.unit_compliance)
         for chunk, fields, _ in self.parts():
             self.compliance[chunk] = indentation.compliance(chunk, fields)
 
     def parts(self) -> Iterator[_Part]:
-        """Yield places with their displacements, which are kept where the memory suffices."""
+        """Yield places with their displacements.
+
+        They are kept where the memory suffices, until another body is solved.
+        """
         if self._kept:
             yield from self._kept
             return
-        for part in self._indentation.solve(self._stiffness, self._profiles):
+        indentation = self._indentation
+        if self._stiffness is None:
+            self._stiffness = Stiffness(indentation.body, indentation.supports, self._youngs)
+        for part in indentation.solve(self._stiffness, self._profiles):
             if self._kept is not None:
                 self._kept.append(part)
             yield part
+
+    def forget(self) -> None:
+        """Keep neither displacements nor the factored stiffness."""
+        self._kept = self._stiffness = None
 
 
 class IndentedBody:
@@ -357,9 +373,9 @@ class IndentedBody:
         computed only where a change is another.
         """
         relative = changes / self.youngs.ravel()
-        factors = np.median(relative, axis=1)
+        factors, least = np.median(relative, axis=1), _SAME * np.abs(relative).max(axis=1)
         relative -= factors[:, None]
-        relative[np.abs(relative) < _SAME] = 0.0
+        relative[np.abs(relative) <= least[:, None]] = 0.0
         rest = relative * self.youngs.ravel()
         rows, cols = np.triu_indices(len(_FRACTIONS))
         moved = self.compliance[:, rows, cols].T[..., None] * factors

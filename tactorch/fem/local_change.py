@@ -17,7 +17,7 @@ from tactorch.fem.boundary import Supports
 from tactorch.fem.materials import lame
 
 _MAX_COLUMNS = 96  # right-hand sides solved at once
-_KEPT = 0.125  # columns that are kept, over the memory for a computation
+_KEPT = 0.25  # columns that are kept, over the memory for a computation
 
 
 class Stiffness:
@@ -67,11 +67,12 @@ class GreenFunction:
         return np.asarray(unknowns[~self._stiffness.fixed[unknowns]])
 
     def require(self, unknowns: Int[np.ndarray, " u"]) -> None:
-        """Compute the columns of some unknowns that are not known."""
+        """Compute the columns of some unknowns that are not known; drop others if they are many."""
         size = self.loads.shape[1]
         if 4.0 * size * len(self._columns) > _KEPT * work_bytes():
-            self._columns.clear()
-            self._moved.clear()
+            kept = [j for j in unknowns.tolist() if j in self._columns]
+            self._columns = {j: self._columns[j] for j in kept}
+            self._moved = {j: self._moved[j] for j in kept}
         missing = [j for j in unknowns.tolist() if j not in self._columns]
         if not missing:
             return
@@ -79,8 +80,8 @@ class GreenFunction:
         unit = sp.csr_matrix((ones, (rows, missing)), shape=(len(missing), size))
         columns = self._stiffness.solve(unit)
         moved = self.loads.astype(np.float32) @ columns
-        self._columns |= dict(zip(missing, np.ascontiguousarray(columns.T), strict=True))
-        self._moved |= dict(zip(missing, np.ascontiguousarray(moved.T), strict=True))
+        self._columns |= {j: columns[:, k].copy() for k, j in enumerate(missing)}
+        self._moved |= {j: moved[:, k].copy() for k, j in enumerate(missing)}
 
     def between(
         self, rows: Int[np.ndarray, " r"], columns: Int[np.ndarray, " c"]

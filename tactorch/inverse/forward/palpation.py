@@ -76,6 +76,7 @@ class PalpationEvaluation(Evaluation):
         self, problem: "PalpationProblem", body: IndentedBody, forces: BallForces, data: DataModel
     ) -> None:
         self._problem, self._body, self._forces = problem, body, forces
+        self._last: tuple[np.ndarray, np.ndarray] | None = None
         super().__init__(body.youngs, problem.assumed, np.zeros((0, 3)), [], data)
 
     @property
@@ -121,9 +122,11 @@ class PalpationEvaluation(Evaluation):
         return self._of_residuals(self._chain @ moved.astype(np.float64))
 
     def linear_response(self, changes: Changes) -> tuple[Columns, list[NodalFields]]:
-        """Return `jacobian_times_each`; displacements are not kept."""
-        moved = self._body.compliance_changes(changes.reshape(len(changes), -1))
-        return self._of_residuals(self._chain @ moved), []
+        """Return `jacobian_times_each`; displacements are not kept, and the last response is."""
+        columns = changes.reshape(len(changes), -1)
+        if self._last is None or not np.array_equal(self._last[0], columns):
+            self._last = columns.copy(), self._body.compliance_changes(columns)
+        return self._of_residuals(self._chain @ self._last[1]), []
 
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Moduli:
         """Return the transpose of d residuals / d youngs times `weights`."""
