@@ -275,17 +275,17 @@ def group_places(
     keys: dict[bytes, list[int]] = {}
     places = np.zeros(len(poses), dtype=int)
     first: list[int] = []
-    for i, pose in enumerate(poses):
-        key = np.round(pose.rotation[:, 2], 6).tobytes() + repr(pose.probe).encode()
-        axis = pose.rotation[:, 2]
-        for place in keys.setdefault(key, []):
-            apart = pose.position_mm - poses[first[place]].position_mm
-            across = np.linalg.norm(apart - (apart @ axis) * axis)
-            if across < _SAME_PLACE * pose.probe.sizes[0]:
-                places[i] = place
-                break
+    axes = np.array([pose.rotation[:, 2] for pose in poses])
+    positions = np.array([pose.position_mm for pose in poses])
+    across = positions - (positions * axes).sum(axis=1, keepdims=True) * axes
+    for i, (pose, axis) in enumerate(zip(poses, np.round(axes, 6), strict=True)):
+        same = keys.setdefault(axis.tobytes() + repr(pose.probe).encode(), [])
+        apart = np.linalg.norm(across[same] - across[i], axis=1)
+        near = np.flatnonzero(apart < _SAME_PLACE * pose.probe.sizes[0])
+        if len(near):
+            places[i] = places[same[near[0]]]
         else:
             places[i] = len(first)
-            keys[key].append(len(first))
+            same.append(i)
             first.append(i)
     return places, np.array(first)
