@@ -48,6 +48,7 @@ _KEPT = 0.25  # displacements that are kept, over the memory for a computation
 _NO_SHARE = 1e-6  # in the modulus under a contact, over the largest
 # Relative difference of moduli that are taken as equal, as at the smooth boundary of an inclusion.
 _SAME = 1e-3
+_NOTHING = 1e-6  # relative change of a modulus that is left out, over the largest
 # Unknowns of a change that is local: so many times the loads, as several models share them.
 _MANY, _MAX_LOCAL = 3, 3000
 T = TypeVar("T")
@@ -373,7 +374,7 @@ class IndentedBody:
         computed only where a change is another.
         """
         relative = changes / self.youngs.ravel()
-        factors, least = np.median(relative, axis=1), _SAME * np.abs(relative).max(axis=1)
+        factors, least = np.median(relative, axis=1), _NOTHING * np.abs(relative).max(axis=1)
         relative -= factors[:, None]
         relative[np.abs(relative) <= least[:, None]] = 0.0
         rest = relative * self.youngs.ravel()
