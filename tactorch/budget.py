@@ -1,9 +1,11 @@
-"""Limits of files of unknown origin: the memory that one may take, and the depth of its nesting.
+"""Limits of the memory: for files of unknown origin, the depth of their nesting, and arrays.
 
 A file may state sizes that it does not hold, expand to far more than its size, or be nested deeper
 than a parser can follow. Readers compare what a file states with these limits before they allocate
 memory or loop over it. The memory for one file is 1.5 GiB, or half of the free memory where that is
-less; the environment variable `TACTORCH_FILE_GIB` sets another number of GiB.
+less; the environment variable `TACTORCH_FILE_GIB` sets another number of GiB. Computations whose
+arrays grow with the number of presses work in parts so that the arrays of each take 4 GiB at most,
+or half of the free memory where that is less; `TACTORCH_WORK_GIB` sets another number.
 """
 
 import gzip
@@ -20,8 +22,10 @@ from zipfile import ZIP_DEFLATED, ZIP_LZMA, ZIP_STORED, ZipFile, ZipInfo
 from tactorch.errors import ConfigError, FileError, TactorchError
 
 _VARIABLE = "TACTORCH_FILE_GIB"
+_WORK_VARIABLE = "TACTORCH_WORK_GIB"
 _GIB = 1 << 30
 _MAX_BYTES = 3 * _GIB // 2
+_MAX_WORK_BYTES = 4 * _GIB
 _SMALL = 1 << 24  # bytes that are read however little memory is free
 #: Largest expansion by deflate: gzip, zlib, .npz, and compressed HDF5.
 DEFLATE = 1032
@@ -45,20 +49,50 @@ def max_bytes() -> int:
     Raises:
         ConfigError: The environment variable `TACTORCH_FILE_GIB` is not a positive number.
     """
-    if not (text := os.environ.get(_VARIABLE)):
-        return min(_MAX_BYTES, _free_bytes() // 2)
+    return _limit(_VARIABLE, _MAX_BYTES)
+
+
+def work_bytes() -> int:
+    """Return how many bytes of memory the arrays of one computation may take.
+
+    Raises:
+        ConfigError: The environment variable `TACTORCH_WORK_GIB` is not a positive number.
+    """
+    return _limit(_WORK_VARIABLE, _MAX_WORK_BYTES)
+
+
+def check_work(what: str, needed: float) -> None:
+    """Refuse arrays of a computation, before they are made, that take more than `work_bytes`.
+
+    Raises:
+        ConfigError: They take more.
+    """
+    if needed > (limit := work_bytes()):
+        raise ConfigError(
+            f"{what} would take {_size(needed)} of memory, and the arrays of one computation may "
+            f"take {_size(limit)}; use fewer presses or a coarser mesh, or set {_WORK_VARIABLE}="
+            f"{math.ceil(needed / _GIB)} if the memory suffices."
+        )
+
+
+def _limit(variable: str, most: int) -> int:
+    """Return the bytes that a variable states; half of the free memory or `most` without it."""
+    if not (text := os.environ.get(variable)):
+        return min(most, _free_bytes(2 * most) // 2)
     try:
         number = float(text)
     except ValueError:
         number = math.nan
     if not 0.0 < number < math.inf:
-        raise ConfigError(f"{_VARIABLE}={text!r} is not a positive number; give GiB, such as 4.")
+        raise ConfigError(f"{variable}={text!r} is not a positive number; give GiB, such as 4.")
     return int(number * _GIB)
 
 
-def _free_bytes() -> int:
-    """Return the memory that is free without swapping, or that of the container if it is less."""
-    free = _MAX_BYTES * 2  # where the system does not say it
+def _free_bytes(free: int) -> int:
+    """Return the memory that is free without swapping, or that of the container if it is less.
+
+    It is `free` at most.
+    """
     for path, name, unit in (
         ("/proc/meminfo", "MemAvailable:", 1024),
         ("/sys/fs/cgroup/memory.max", "", 1),

@@ -5,8 +5,8 @@ import inspect
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import redirect_stdout
-from importlib import import_module
-from importlib.metadata import entry_points
+from functools import cache
+from importlib import import_module, metadata
 from typing import Any
 
 from tactorch.errors import ConfigError
@@ -151,6 +151,18 @@ class Registry:
 
     def _plugins(self) -> dict[str, Any]:
         return {entry.name: entry for entry in entry_points(group=f"tactorch.{self.section}")}
+
+
+@cache
+def entry_points(group: str) -> metadata.EntryPoints:
+    """Return the entry points of a group as the process finds them first, without importing any."""
+    found: metadata.EntryPoints = _installed().select(group=group)
+    return found
+
+
+@cache
+def _installed() -> Any:
+    return metadata.entry_points()
 
 
 def package(entry: Any) -> str:

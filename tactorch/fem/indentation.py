@@ -10,17 +10,18 @@ of a wide one that the mesh resolves, differs from that of a half-space. The dif
 over the modulus under the contact.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TypeVar
+from functools import cached_property, partial
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
 from threadpoolctl import threadpool_limits
 
-from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.budget import check_work, work_bytes
+from tactorch.errors import ConfigError
 from tactorch.fem import kernels
 from tactorch.fem.body import SoftBody
 from tactorch.fem.boundary import Supports
@@ -31,6 +32,7 @@ from tactorch.fem.contact.pressures import (
     half_space_compliance,
     restriction_ratio,
 )
+from tactorch.fem.local_change import GreenFunction, LocalChange, Stiffness
 from tactorch.fem.materials import lame
 from tactorch.fem.readings import surface_rows
 from tactorch.linalg import map_cases
@@ -39,8 +41,16 @@ from tactorch.mesh.closest import closest_points
 _FRACTIONS = (1.0, 0.72, 0.48)  # radii of the profiles, over that of the largest contact
 _MAX_RATIO = 0.95  # of the largest radius of a profile to that of the ball
 _WIDE = 1.2  # radius of the wide profile, over that of the largest contact and the mean edge
-_MAX_COLUMNS = 96  # right-hand sides solved at once
 _ELEMENTS = 256  # whose derivatives are computed at once
+_CHUNK_BYTES = 1 << 28  # of the arrays of the places that are computed at once
+_PLACE_BYTES = 4e6  # that finding the points of the profiles of a place takes
+_KEPT = 0.25  # displacements that are kept, over the memory for a computation
+_NO_SHARE = 1e-6  # in the modulus under a contact, over the largest
+# Relative difference of moduli that are taken as equal, as at the smooth boundary of an inclusion.
+_SAME = 1e-3
+_NOTHING = 1e-6  # relative change of a modulus that is left out, over the largest
+# Unknowns of a change that is local: so many times the loads, as several models share them.
+_MANY, _MAX_LOCAL = 3, 3000
 T = TypeVar("T")
 
 
@@ -86,7 +96,8 @@ class Indentation:
                 "Presses at many places with one factorisation need material 'linear'; the "
                 f"material is {type(body.assembly.material).__name__}."
             )
-        self.body, self.places, self._supports = body, tuple(places), supports
+        self.last: _Anew | None = None
+        self.body, self.places, self.supports = body, tuple(places), supports
         self.balls_mm = np.array([place.ball_mm for place in self.places])
         deepest = np.array([place.deepest_mm for place in self.places])
         largest = np.minimum(contact_radius(deepest, self.balls_mm), _MAX_RATIO * self.balls_mm)
@@ -94,19 +105,32 @@ class Indentation:
         edge = float(np.sqrt(np.median(body.mesh.surface.areas) * 4.0 / np.sqrt(3.0)))
         wide = _WIDE * np.maximum(self.radii_mm[:, 0], edge)
         self._all_radii = np.column_stack([self.radii_mm, wide])
-        self._loads, self.heights = self._profiles()
-        self._unit = self._solve(np.ones(body.mesh.n_tets), self._loads)
+        parts = [self._profiles(chunk) for chunk in self._chunks(_PLACE_BYTES)]
+        self.heights = np.concatenate([heights for _, heights in parts])
+        # All places of one profile follow each other.
+        profiles = zip(*(loads for loads, _ in parts), strict=True)
+        self._loads = sp.vstack([part for loads in profiles for part in loads], format="csr")
+        self._at_unit()
 
-    def _profiles(self) -> tuple[sp.csr_matrix, Float[np.ndarray, "places k"]]:
-        """Return the loads of all profiles, the wide ones last, and the heights."""
+    def _chunks(self, place_bytes: float) -> list[Int[np.ndarray, " s"]]:
+        """Return the places in parts whose arrays, of so many bytes a place, are small."""
+        count = len(self.places)
+        parts = -(-count // max(1, int(_CHUNK_BYTES / place_bytes)))
+        return np.array_split(np.arange(count), parts)
+
+    def _profiles(
+        self, chunk: Int[np.ndarray, " s"]
+    ) -> tuple[list[sp.csr_matrix], Float[np.ndarray, "s k"]]:
+        """Return the loads of each profile of some places, the wide one last, and the heights."""
         ring, directions, weights = disc_rule()
         points, normals = [], []
-        for place, radii in zip(self.places, self._all_radii, strict=True):
+        for place, radii in zip(
+            [self.places[i] for i in chunk], self._all_radii[chunk], strict=True
+        ):
             across = np.linalg.svd(place.normal[None])[2][1:]
             offsets = ring[:, None] * (directions @ across)
             points.append(place.contact_mm + radii[:, None, None] * offsets)
             normals.append(np.broadcast_to(-place.normal, points[-1].shape))
-        # All places of one profile follow each other.
         at, pushes = (np.stack(parts, axis=1) for parts in (points, normals))
         queries = at.reshape(-1, 3)
         mesh = self.body.mesh
@@ -116,98 +140,108 @@ class Indentation:
             sp.eye(len(queries) // len(weights)), sp.csr_matrix(weights[None]), format="csr"
         )
         found = closest.points.reshape(at.shape)
-        heights = self._heights(found[:-1].swapaxes(0, 1)) @ weights
-        return (means @ rows).tocsr(), heights
+        heights = self._heights(chunk, found[:-1].swapaxes(0, 1)) @ weights
+        loads, count = (means @ rows).tocsr(), len(chunk)
+        return [loads[k * count : (k + 1) * count] for k in range(len(at))], heights
 
-    def _heights(self, at: Float[np.ndarray, "places k q 3"]) -> Float[np.ndarray, "places k q"]:
+    def _heights(
+        self, chunk: Int[np.ndarray, " s"], at: Float[np.ndarray, "s k q 3"]
+    ) -> Float[np.ndarray, "s k q"]:
         """Return heights of surface points over a ball that touches the contact point, mm."""
-        contacts = np.array([place.contact_mm for place in self.places])[:, None, None]
-        normals = np.array([place.normal for place in self.places])[:, None, None]
-        balls = self.balls_mm[:, None, None]
+        contacts = np.array([self.places[i].contact_mm for i in chunk])[:, None, None]
+        normals = np.array([self.places[i].normal for i in chunk])[:, None, None]
+        balls = self.balls_mm[chunk, None, None]
         apart = at - contacts
         along = (apart * normals).sum(axis=-1)
         across = np.linalg.norm(apart - along[..., None] * normals, axis=-1)
         across = np.minimum(across, _MAX_RATIO * balls)
         return np.asarray(along + np.sqrt(balls**2 - across**2) - balls)
 
+    def _at_unit(self) -> None:
+        """Compute what follows from the body of unit modulus."""
+        poisson, narrowest = float(np.mean(self.body.assembly.poisson)), len(_FRACTIONS) - 1
+        exact = half_space_compliance(self._all_radii, poisson)
+        self._uniform = Stiffness(self.body, self.supports, np.ones(self.body.mesh.n_tets))
+        self._green = GreenFunction(self.body, self._uniform, self._loads[: -len(self.places)])
+        self.unit_compliance = np.empty((len(self.places), len(_FRACTIONS), len(_FRACTIONS)))
+        self.missed, shares = np.empty_like(self.unit_compliance), []
+        for chunk, fields, _ in self.solve(self._uniform, len(_FRACTIONS) + 1):
+            compliance = self.compliance(chunk, fields)
+            self.unit_compliance[chunk] = compliance[:, :-1, :-1]
+            difference = exact[chunk] - compliance
+            self.missed[chunk] = difference[:, :-1, :-1] - difference[:, -1:, -1:]
+            alone = fields.reshape(len(fields), -1, len(chunk))[:, narrowest]
+            energies = self.energies(alone, slice(None), len(chunk), per_point=False)[0]
+            squares = (energies / energies.max(axis=0)) ** 2
+            squares[squares < _NO_SHARE] = 0.0
+            shares.append(sp.csr_matrix(squares / squares.sum(axis=0)))
+        self.shares = sp.hstack(shares, format="csc")
+
     def at(self, youngs: Float[np.ndarray, "m *q"]) -> "IndentedBody":
         """Return the compliance of all places at these moduli (MPa).
 
-        A uniform body takes no solve.
+        A body that is uniform but for a small part takes a solve for each unknown in that part,
+        once, and a uniform one none.
         """
-        count = len(_FRACTIONS) * len(self.places)
-        if np.ptp(youngs) <= 1e-12 * youngs.max():
-            fields = self._unit[:, :count] / np.float32(youngs.ravel()[0])
-        else:
-            fields = self._solve(youngs, self._loads[:count])
-        return IndentedBody(self, youngs, fields)
+        return IndentedBody(self, youngs)
 
-    def _solve(
-        self, youngs: Float[np.ndarray, "m *q"], loads: sp.csr_matrix
-    ) -> Float[np.ndarray, "unknowns profiles"]:
-        """Return the displacements by loads in single precision, mm/N."""
-        nothing = np.zeros((self.body.n_nodes, 3))
-        search = self.body.search(youngs, nothing, self._supports)
-        linearization = search.linearize(search.run().require())
-        fields = np.empty(loads.shape[::-1], dtype=np.float32)
-        # Solutions by a factorisation in single precision are as accurate as they are stored.
-        lease = self.body.pool.lease(single_precision=True)
-        if not lease.factor(linearization.tangent):
-            raise ConvergenceError("The stiffness matrix is not positive definite; hold the body.")
-        for first in range(0, fields.shape[1], _MAX_COLUMNS):
-            block = slice(first, first + _MAX_COLUMNS)
-            forces = loads[block].T.toarray(order="F")
-            forces[linearization.fixed] = 0.0
-            fields[:, block] = lease.solve(forces)
-        lease.close()
-        return fields
+    def is_small(self, elements: Int[np.ndarray, " e"]) -> bool:
+        """Return whether solving for the unknowns of elements is quicker than for all places."""
+        unknowns = len(self._green.unknowns(elements))
+        return unknowns <= min(_MANY * len(_FRACTIONS) * len(self.places), _MAX_LOCAL)
+
+    def solve(self, stiffness: Stiffness, profiles: int) -> "Iterator[_Part]":
+        """Yield places with their displacements by the loads of the first profiles."""
+        count = len(self.places)
+        size = 3 * self.body.n_nodes
+        for chunk in self._chunks(8.0 * size * profiles):
+            rows = (np.arange(profiles)[:, None] * count + chunk).ravel()
+            yield _Part(chunk, stiffness.solve(self._loads[rows]))
+
+    def without_solve(self, youngs: Float[np.ndarray, "m *q"]) -> "LocalChange | None":
+        """Return the solution of a body that is uniform but for a small part; None for others."""
+        scale = float(np.median(youngs))
+        ratios = youngs / scale - 1.0
+        ratios[np.abs(ratios) < _SAME] = 0.0
+        elements = np.flatnonzero(ratios.reshape(len(ratios), -1).any(axis=1))
+        if not self.is_small(elements):
+            return None
+        return LocalChange(self._green, scale, ratios, elements)
 
     def compliance(
-        self, fields: Float[np.ndarray, "unknowns profiles"]
-    ) -> Float[np.ndarray, "places k k"]:
-        """Return the compliance of the mesh between the profiles of each place, mm/N."""
-        count = len(self.places)
+        self, chunk: Int[np.ndarray, " s"], fields: Float[np.ndarray, "unknowns _"]
+    ) -> Float[np.ndarray, "s k k"]:
+        """Return the compliance of the mesh between the profiles of some places, mm/N."""
+        count = len(chunk)
         k = fields.shape[1] // count
         result = np.empty((count, k, k))
         for a in range(k):
-            loads = self._loads[a * count : (a + 1) * count]
+            loads = self._loads[a * len(self.places) + chunk]
             for b in range(k):
                 moved = loads.multiply(fields[:, b * count : (b + 1) * count].T)
                 result[:, a, b] = np.asarray(moved.sum(axis=1)).ravel()
         return 0.5 * (result + result.swapaxes(1, 2))
 
-    @cached_property
-    def missed(self) -> Float[np.ndarray, "places k k"]:
-        """Compliance that the mesh misses at each contact, times its modulus, 1/mm."""
-        poisson = float(np.mean(self.body.assembly.poisson))
-        exact = half_space_compliance(self._all_radii, poisson)
-        difference = exact - self.compliance(self._unit)
-        return np.asarray(difference[:, :-1, :-1] - difference[:, -1:, -1:])
-
-    @cached_property
-    def shares(self) -> Float[np.ndarray, "m places"]:
-        """Share of each element in the modulus under each contact, which is a harmonic mean.
-
-        They are proportional to the square of the energy of the narrowest profile, so that they are
-        those of the elements at the contact.
-        """
-        count, last = len(self.places), len(_FRACTIONS) - 1
-        narrowest = self._unit[:, last * count : (last + 1) * count]
-        energies = self.energies(narrowest, slice(None), per_point=False)[0]
-        squares: np.ndarray = (energies / energies.max(axis=0)) ** 2
-        return squares / squares.sum(axis=0)
-
     def energies(
-        self, fields: Float[np.ndarray, "unknowns profiles"], elements: slice, *, per_point: bool
-    ) -> Float[np.ndarray, "pairs moduli places"]:
+        self,
+        fields: Float[np.ndarray, "unknowns _"],
+        elements: slice | Int[np.ndarray, " e"],
+        places: int,
+        *,
+        per_point: bool,
+        nodes: Int[np.ndarray, "m _"] | None = None,
+    ) -> Float[np.ndarray, "pairs moduli s"]:
         """Return the strain energies between fields per unit modulus: minus dC/dE, mm^3/N^2.
 
         Args:
             fields: Displacements by unit loads, mm/N.
             elements: The elements.
+            places: Number of places.
             per_point: Whether moduli are those of quadrature points.
+            nodes: Rows of the fields for the nodes of each element, if not those of the body.
         """
-        assembly, places = self.body.assembly, len(self.places)
+        assembly = self.body.assembly
+        nodes = self.body.discretisation.nodes if nodes is None else nodes
         poisson = np.broadcast_to(np.asarray(assembly.poisson), len(assembly.weights))[elements]
         first, second = (np.ascontiguousarray(value) for value in lame(poisson))
         weights = assembly.weights[elements]
@@ -215,10 +249,54 @@ class Indentation:
         sites = weights.shape[1] if per_point else 1
         out = np.zeros((k * (k + 1) // 2, len(weights) * sites, places), dtype=np.float32)
         kernels.strain_energies(
-            self.body.discretisation.nodes[elements], assembly.gradients[elements], weights,
-            first, second, np.ascontiguousarray(fields).reshape(-1, 3, k, places), out,
+            nodes[elements], assembly.gradients[elements], weights, first, second,
+            np.ascontiguousarray(fields).reshape(-1, 3, k, places), out,
         )  # fmt: skip
         return out
+
+
+class _Part(NamedTuple):
+    """Displacements at some places, mm/N, by profiles; all places of one follow each other."""
+
+    places: Int[np.ndarray, " s"]
+    fields: Float[np.ndarray, "unknowns _"]
+    nodes: Int[np.ndarray, "m _"] | None = None  # rows of the nodes of each element, if others
+
+
+class _Anew:
+    """Solutions of a body at any moduli, for a part of the places at a time."""
+
+    def __init__(self, indentation: Indentation, youngs: Float[np.ndarray, "m *q"]) -> None:
+        self._indentation, self._profiles, self._youngs = indentation, len(_FRACTIONS), youngs
+        self._stiffness: Stiffness | None = None
+        size = 12 * indentation.body.n_nodes * self._profiles * len(indentation.places)
+        if indentation.last is not None:
+            indentation.last.forget()
+        indentation.last = self
+        self._kept: list[_Part] | None = [] if size < _KEPT * work_bytes() else None
+        self.compliance = np.empty_like(indentation.unit_compliance)
+        for chunk, fields, _ in self.parts():
+            self.compliance[chunk] = indentation.compliance(chunk, fields)
+
+    def parts(self) -> Iterator[_Part]:
+        """Yield places with their displacements.
+
+        They are kept where the memory suffices, until another body is solved.
+        """
+        if self._kept:
+            yield from self._kept
+            return
+        indentation = self._indentation
+        if self._stiffness is None:
+            self._stiffness = Stiffness(indentation.body, indentation.supports, self._youngs)
+        for part in indentation.solve(self._stiffness, self._profiles):
+            if self._kept is not None:
+                self._kept.append(part)
+            yield part
+
+    def forget(self) -> None:
+        """Keep neither displacements nor the factored stiffness."""
+        self._kept = self._stiffness = None
 
 
 class IndentedBody:
@@ -229,23 +307,25 @@ class IndentedBody:
         compliance: Compliance between the profiles of each place, mm/N.
     """
 
-    def __init__(
-        self,
-        indentation: Indentation,
-        youngs: Float[np.ndarray, "m *q"],
-        fields: Float[np.ndarray, "unknowns profiles"],
-    ) -> None:
-        self.youngs, self._indentation, self._fields = youngs, indentation, fields
-        softness = (1.0 / self._by_element) @ indentation.shares
-        missed = indentation.missed * softness[:, None, None]
-        self.compliance = indentation.compliance(fields) + missed
+    def __init__(self, indentation: Indentation, youngs: Float[np.ndarray, "m *q"]) -> None:
+        self.youngs, self._indentation = youngs, indentation
+        self._local = indentation.without_solve(youngs)
+        self._softness = indentation.shares.T @ (1.0 / self._by_element)
+        if self._local is None:
+            mesh = self._anew.compliance
+        else:
+            mesh = (
+                indentation.unit_compliance - self._local.less(len(_FRACTIONS))
+            ) / self._local.scale
+        self.compliance = mesh + indentation.missed * self._softness[:, None, None]
+
+    @cached_property
+    def _anew(self) -> _Anew:
+        return _Anew(self._indentation, self.youngs)
 
     @cached_property
     def _by_element(self) -> Float[np.ndarray, " m"]:
-        weights = self._indentation.body.assembly.weights
-        if self.youngs.ndim == 1:
-            return self.youngs
-        return np.asarray((self.youngs * weights).sum(axis=1) / weights.sum(axis=1))
+        return np.asarray((self.youngs.reshape(len(self.youngs), -1) * self._point_weights).sum(1))
 
     def press(
         self, places: Int[np.ndarray, " s"], depths_mm: Float[np.ndarray, " s"]
@@ -265,15 +345,24 @@ class IndentedBody:
 
         There is a row for each pair of profiles and place; all places of a pair follow each other.
         """
-        k = len(_FRACTIONS)
-        rows = k * (k + 1) // 2 * len(self._indentation.places)
-        out = np.empty((rows, self.youngs.size), dtype=np.float32)
+        rows = self._pairs * len(self._indentation.places)
+        check_work(f"the derivatives of {rows} forces", 4.0 * rows * self.youngs.size)
+        out = np.empty((self._pairs, rows // self._pairs, self.youngs.size), dtype=np.float32)
+        for chunk, part in self._rates():
+            out[:, chunk] = part
+        return out.reshape(rows, -1)
 
-        def work(elements: slice, moduli: slice) -> None:
-            part = self._rates_of(elements)
-            out[:, moduli] = part.swapaxes(1, 2).reshape(rows, -1)
-
-        self._by_parts(work)
+    def combined_rates(self, chain: sp.csr_matrix) -> Float[np.ndarray, "data moduli"]:
+        """Return the product of a sparse matrix and `rates`, which are not kept."""
+        count = len(self._indentation.places)
+        check_work(
+            f"the derivatives of {chain.shape[0]} data", 8.0 * chain.shape[0] * self.youngs.size
+        )
+        out = np.zeros((chain.shape[0], self.youngs.size))
+        for chunk, part in self._rates():
+            columns = chain[:, (np.arange(self._pairs)[:, None] * count + chunk).ravel()]
+            rows = np.flatnonzero(np.diff(columns.indptr))
+            out[rows] += columns[rows] @ part.reshape(-1, self.youngs.size)
         return out
 
     def compliance_changes(
@@ -281,46 +370,106 @@ class IndentedBody:
     ) -> Float[np.ndarray, "rows k"]:
         """Return minus the changes of the compliance by several changes of the moduli (MPa).
 
-        Rows are those of `rates`, which are not kept.
+        Rows are those of `rates`. A change of all moduli by one factor is known; energies are
+        computed only where a change is another.
         """
-        columns = changes.astype(np.float32)
+        relative = changes / self.youngs.ravel()
+        factors, least = np.median(relative, axis=1), _NOTHING * np.abs(relative).max(axis=1)
+        relative -= factors[:, None]
+        relative[np.abs(relative) <= least[:, None]] = 0.0
+        rest = relative * self.youngs.ravel()
+        rows, cols = np.triu_indices(len(_FRACTIONS))
+        moved = self.compliance[:, rows, cols].T[..., None] * factors
+        weights = self._point_weights * rest.reshape(len(rest), *self._point_weights.shape)
+        softened = weights.sum(axis=2) / self._by_element**2
+        missed = self._indentation.missed[:, rows, cols].T
+        moved += missed[..., None] * (self._indentation.shares.T @ softened.T)
+        self._add_energies(moved, rest)
+        return moved.reshape(-1, len(changes))
 
-        def work(elements: slice, moduli: slice) -> np.ndarray:
-            # One product after the other: NumPy has no fast one for a stack.
-            part = np.ascontiguousarray(columns[:, moduli])
-            return np.stack([part @ rates for rates in self._rates_of(elements)])
+    def _add_energies(
+        self, moved: Float[np.ndarray, "pairs places k"], rest: Float[np.ndarray, "k moduli"]
+    ) -> None:
+        """Add the energies of the mesh by changes of the moduli (MPa)."""
+        count, sites = len(self._by_element), self._sites
+        by_element = rest.astype(np.float32).reshape(len(rest), count, sites)
+        touched = np.flatnonzero(by_element.any(axis=(0, 2)))
+        if not len(touched):
+            return
+        for part in self._fields(touched):
+            for product in _each(partial(self._products, part, by_element), touched):
+                moved[:, part.places] += product
 
-        total: np.ndarray = np.array(self._by_parts(work)).sum(axis=0, dtype=np.float64)
-        return total.swapaxes(1, 2).reshape(-1, len(changes))
+    def _products(
+        self,
+        part: "_Part",
+        by_element: Float[np.ndarray, "k m sites"],
+        elements: Int[np.ndarray, " e"],
+    ) -> Float[np.ndarray, "pairs s k"]:
+        """Return the energies of some elements by changes of their moduli."""
+        weights = np.ascontiguousarray(by_element[:, elements].reshape(len(by_element), -1))
+        # One product after the other: NumPy has no fast one for a stack.
+        return np.stack([(weights @ energy).T for energy in self._energies(part, elements)])
 
-    def _by_parts(self, work: Callable[[slice, slice], T]) -> list[T]:
-        """Call with slices of elements, and of their moduli, in threads."""
-        count = len(self._indentation.body.assembly.weights)
-        sites = self.youngs.size // count
-        firsts = range(0, count, _ELEMENTS)
+    def _fields(self, elements: Int[np.ndarray, " e"]) -> "Iterator[_Part]":
+        """Yield places, with displacements of the nodes of elements."""
+        indentation = self._indentation
+        if self._local is not None and indentation.is_small(elements):
+            yield _Part(np.arange(len(indentation.places)), *self._local.fields(elements))
+        else:
+            yield from self._anew.parts()
 
-        def part(i: int) -> T:
-            first, last = firsts[i], min(firsts[i] + _ELEMENTS, count)
-            return work(slice(first, last), slice(first * sites, last * sites))
-
-        # The threads of NumPy's BLAS would wait for each other beside ours.
-        with threadpool_limits(1, user_api="blas"):
-            return map_cases(part, len(firsts))
-
-    def _rates_of(self, elements: slice) -> Float[np.ndarray, "pairs moduli places"]:
-        """Minus the derivatives of the compliance by the moduli of some elements."""
+    def _rates(self) -> Iterator[tuple[np.ndarray, Float[np.ndarray, "pairs s moduli"]]]:
+        """Yield places with minus the derivatives of their compliance by the moduli."""
         indentation = self._indentation
         rows, cols = np.triu_indices(len(_FRACTIONS))
-        per_point = self.youngs.ndim == 2
-        rates = indentation.energies(self._fields, elements, per_point=per_point)
-        softened = indentation.shares[elements] / self._by_element[elements, None] ** 2
-        if per_point:
-            weights = indentation.body.assembly.weights[elements]
-            points = weights / weights.sum(axis=1, keepdims=True)
-            softened = (points[:, :, None] * softened[:, None]).reshape(-1, softened.shape[1])
-        missed = indentation.missed[:, rows, cols].T.astype(np.float32)
-        rates += missed[:, None, :] * softened.astype(np.float32)
-        return rates
+        everything = np.arange(len(self._by_element))
+        for part in self._anew.parts():
+            missed = indentation.missed[part.places][:, rows, cols].T[..., None].astype(np.float32)
+            softened = indentation.shares[:, part.places].T.toarray() / self._by_element**2
+            points = softened[..., None] * self._point_weights
+            out = missed * points.reshape(len(softened), -1).astype(np.float32)
+            _each(partial(self._add_rates, part, out), everything)
+            yield part.places, out
+
+    def _add_rates(
+        self, part: "_Part", out: Float[np.ndarray, "pairs s moduli"], elements: np.ndarray
+    ) -> None:
+        """Add the energies of consecutive elements."""
+        moduli = slice(elements[0] * self._sites, (elements[-1] + 1) * self._sites)
+        out[:, :, moduli] += self._energies(part, elements).swapaxes(1, 2)
+
+    def _energies(
+        self, part: "_Part", elements: Int[np.ndarray, " e"]
+    ) -> Float[np.ndarray, "pairs moduli s"]:
+        return self._indentation.energies(
+            part.fields, elements, len(part.places), per_point=self.youngs.ndim == 2,
+            nodes=part.nodes,
+        )  # fmt: skip
+
+    @property
+    def _pairs(self) -> int:
+        return len(_FRACTIONS) * (len(_FRACTIONS) + 1) // 2
+
+    @property
+    def _sites(self) -> int:
+        return self.youngs.size // len(self.youngs)
+
+    @property
+    def _point_weights(self) -> Float[np.ndarray, "m sites"]:
+        """Share of each modulus in the mean of its element."""
+        weights = self._indentation.body.assembly.weights
+        if self.youngs.ndim == 1:
+            return np.ones((len(weights), 1))
+        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+def _each(work: Callable[[Int[np.ndarray, " e"]], T], elements: Int[np.ndarray, " e"]) -> list[T]:
+    """Call with parts of some elements, in threads."""
+    parts = [elements[i : i + _ELEMENTS] for i in range(0, len(elements), _ELEMENTS)]
+    # The threads of NumPy's BLAS would wait for each other beside ours.
+    with threadpool_limits(1, user_api="blas"):
+        return map_cases(lambda i: work(parts[i]), len(parts))
 
 
 def _terms(

@@ -139,8 +139,7 @@ class SampleSet:
             FileError: There is none of that number, or its shard is missing or damaged.
         """
         with self._reader(index) as reader:
-            directions = [f"presses/{i:04d}/direction" for i in range(reader.count())]
-            known = all(reader.has(name) for name in directions)
+            directions = reader.directions()
             return SampleMaps(
                 reader.attribute("/", "index", int),
                 reader.attribute("/", "object", int),
@@ -148,7 +147,7 @@ class SampleSet:
                 reader.mesh(),
                 reader.array("truth", "f", (reader.mesh().n_tets,)),
                 _reconstruction(reader),
-                np.array([reader.array(name, "f", (3,)) for name in directions]) if known else None,
+                None if directions is None else np.array(directions),
             )
 
     def verify(self) -> None:

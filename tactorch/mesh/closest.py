@@ -30,12 +30,15 @@ def closest_points(
     """
     corners = points[triangles]
     centroids = corners.mean(axis=1)
-    reach = float(np.linalg.norm(corners - centroids[:, None], axis=2).max())
+    reaches = np.linalg.norm(corners - centroids[:, None], axis=2).max(axis=1)
     nearest, _ = cKDTree(points[np.unique(triangles)]).query(queries)
-    lists = cKDTree(centroids).query_ball_point(queries, (nearest + reach) * (1.0 + 1e-9) + 1e-12)
-    counts = np.array([len(found) for found in lists], dtype=np.int64)
-    pairs = np.concatenate([*(np.array(found, dtype=np.int64) for found in lists), []]).astype(int)
-    rows = np.repeat(np.arange(len(queries)), counts)
+    # Triangles of similar size together: large ones do not make many small ones candidates.
+    sizes = np.floor(np.log2(np.maximum(reaches, 1e-300)))
+    found = [
+        _within(centroids, np.flatnonzero(sizes == size), reaches, queries, nearest)
+        for size in np.unique(sizes)
+    ]
+    rows, pairs = (np.concatenate(parts) for parts in zip(*found, strict=True))
     coordinates = np.concatenate([
         _closest(corners[pairs[i : i + _CHUNK]], queries[rows[i : i + _CHUNK]])
         for i in range(0, max(len(pairs), 1), _CHUNK)
@@ -45,6 +48,21 @@ def closest_points(
     order = np.lexsort((pairs, distances, rows))
     first = order[np.searchsorted(rows[order], np.arange(len(queries)))]
     return Closest(pairs[first], coordinates[first], at[first], distances[first])
+
+
+def _within(
+    centroids: Float[np.ndarray, "t 3"],
+    chosen: Int[np.ndarray, " s"],
+    reaches: Float[np.ndarray, " t"],
+    queries: Float[np.ndarray, "q 3"],
+    nearest: Float[np.ndarray, " q"],
+) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+    """Return pairs of a query and one of the chosen triangles that may be the closest to it."""
+    limits = (nearest + reaches[chosen].max()) * (1.0 + 1e-9) + 1e-12
+    lists = cKDTree(centroids[chosen]).query_ball_point(queries, limits)
+    counts = [len(found) for found in lists]
+    pairs = np.concatenate([*(np.array(found, dtype=np.int64) for found in lists), []]).astype(int)
+    return np.repeat(np.arange(len(queries)), counts), chosen[pairs]
 
 
 def _closest(

@@ -24,7 +24,7 @@ from tactorch.recording.recording import Recording
 from tactorch.recording.schema import (
     ERRORS_VERSION,
     PRESS_ARRAYS,
-    PRESS_OPTIONAL,
+    STACKED_VERSION,
     written_version,
 )
 from tactorch.recording.storage import RecordingReader, open_recording, write_press
@@ -114,26 +114,53 @@ def read_presses(
         count = reader.count()
         if known is not None:
             _check_same(reader, known)
-        recording, presses, faults = known, {}, {}
+        presses, faults = {}, {}
         for index in range(after, count):
             try:
-                press = reader.press(index)
-                if recording is None:
-                    recording = Recording(**reader.fields([press]), check_units=check_units)
-                else:
-                    all_presses = (*recording.presses, press)
-                    recording = replace(recording, presses=all_presses, check_units=check_units)
+                presses[index] = reader.press(index)
             except (RecordingError, FileError) as error:
-                faults[index] = str(error).removeprefix(f"recording '{reader.source}' ")
-            else:
-                presses[index] = press
+                faults[index] = _reason(reader, error)
+        recording, invalid = _with_presses(reader, known, presses, check_units)
+    faults |= {index: _reason(reader, error) for index, error in invalid.items()}
+    presses = {index: press for index, press in presses.items() if index not in invalid}
     return RecordingContents(recording, presses, faults, count)
+
+
+def _reason(reader: RecordingReader, error: Exception) -> str:
+    return str(error).removeprefix(f"recording '{reader.source}' ")
+
+
+def _with_presses(
+    reader: RecordingReader,
+    known: Recording | None,
+    presses: Mapping[int, Press],
+    check_units: bool,
+) -> tuple[Recording | None, dict[int, RecordingError]]:
+    """Return the recording with further presses, and why some do not fit the others."""
+
+    def add(recording: Recording | None, added: Sequence[Press]) -> Recording:
+        if recording is None:
+            return Recording(**reader.fields(added), check_units=check_units)
+        return replace(recording, presses=(*recording.presses, *added), check_units=check_units)
+
+    if not presses:
+        return known, {}
+    try:
+        return add(known, list(presses.values())), {}
+    except RecordingError:  # of one of them: find it
+        recording, invalid = known, {}
+    for index, press in presses.items():
+        try:
+            recording = add(recording, [press])
+        except RecordingError as error:
+            invalid[index] = error
+    return recording, invalid
 
 
 def digest(press: Press) -> str:
     """Return a hash of all values of a press but its name."""
     result = sha256(repr((press.noise_mm, press.step)).encode())
-    for name in (*PRESS_ARRAYS, *PRESS_OPTIONAL):
+    for name in (*PRESS_ARRAYS, "weights", "direction"):
         array = getattr(press, name)
         result.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())
     result.update(press.readings_bytes())
@@ -158,6 +185,7 @@ def _whole_image(
     version = written_version(
         regions=reader.has("mesh/regions"),
         errors=errors or reader.version >= ERRORS_VERSION,
+        stacked=reader.version >= STACKED_VERSION,
         growing=growing and stored[8] in (2, 3),
     )
 

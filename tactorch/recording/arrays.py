@@ -42,8 +42,8 @@ def make_array(
 
 def require_finite(array: Float[np.ndarray, "..."], what: str) -> None:
     """Raise `RecordingError` naming the first entry of `array` that is NaN or infinite."""
-    invalid = np.argwhere(~np.isfinite(array))
-    if len(invalid):
+    if not (finite := np.isfinite(array)).all():
+        invalid = np.argwhere(~finite)
         where = tuple(int(i) for i in invalid[0])
         raise RecordingError(
             f"{what} holds {len(invalid)} values that are NaN or infinite, the first at {where}; "

@@ -1,7 +1,10 @@
 """One press: loads and supports of a soft object, and the measured motion of its surface."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
+from weakref import ref
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,6 +17,9 @@ from tactorch.recording.schema import PRESS_ARRAYS
 # Default of arrays whose size is the number of nodes; replaced by zeros on construction, so that
 # the field always holds an array.
 _ZEROS: Any = None
+# Kind and shareable fields of the press that was checked last: those of a recording often have the
+# same, and are not checked again.
+_LAST: list[tuple[tuple[bool, ...], tuple[ref[np.ndarray], ...]]] = [((), ())]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,19 +91,24 @@ class Press:
                 )
         if self.step < 0:
             raise self._error(f"step is {self.step}; count load steps from 0")
+        self._check_direction()
+        if not self._is_as_last():
+            self._check_nodal()
+            _LAST[0] = self._kind, tuple(map(ref, self._shareable))
+
+    def _check_nodal(self) -> None:
         self._check_observed()
-        fields = ("forces", "springs", "weights", "direction")
-        numbers = {field: getattr(self, field) for field in fields}
+        numbers = {field: getattr(self, field) for field in ("forces", "springs", "weights")}
         numbers["displacement (where observed)"] = np.where(self.observed, self.displacement, 0.0)
         numbers["prescribed"] = np.where(self.fixed, self.prescribed, 0.0)
         for name, values in numbers.items():
             if values is not None:
                 require_finite(values, f"{self.label}: {name}")
         self._check_loads()
-        self._check_weights_and_direction()
-        self._set("displacement", _only(self.observed, self.displacement, np.nan))
+        self._check_weights()
+        self._set("displacement", _only(self.observed, self.displacement, "displacement"))
         moved = self.fixed & (self.prescribed != 0.0)
-        self._set("prescribed", _only(moved, self.prescribed, 0.0))
+        self._set("prescribed", _only(moved, self.prescribed, "prescribed"))
 
     @staticmethod
     def by_probe(
@@ -120,7 +131,7 @@ class Press:
             surface: Measured displacements along directions at points of the surface.
             fields: Further fields, such as `fixed`, `springs`, `step` and `name`.
         """
-        constant = {name: _constant(value, n_points) for name, value in PRESS_ARRAYS.items()}
+        constant = {name: constant_field(name, n_points) for name in PRESS_ARRAYS}
         return Press(**{**constant, **fields}, probe=probe, force=force, surface=surface)
 
     @property
@@ -209,6 +220,23 @@ class Press:
         if value is not None or field in ("forces", "observed", "displacement"):
             self._set(field, make_array(value, shape, f"{self.label}: {field}", kinds))
 
+    @property
+    def _kind(self) -> tuple[bool, ...]:
+        return self.has_readings, self.probe is None, self.force is None
+
+    @property
+    def _shareable(self) -> list[np.ndarray]:
+        """Nodal fields if all are read-only, so that other presses may have the same."""
+        fields = [getattr(self, name) for name in PRESS_ARRAYS]
+        own = self.weights is not None or any(field.flags.writeable for field in fields)
+        return [] if own else fields
+
+    def _is_as_last(self) -> bool:
+        """Return whether kind and nodal fields are those of the press that was checked last."""
+        (kind, last), fields = _LAST[0], self._shareable
+        same = kind == self._kind and len(last) == len(fields) > 0
+        return same and all(a() is b for a, b in zip(last, fields, strict=True))
+
     def _check_observed(self) -> None:
         if (
             self.force is not None
@@ -241,7 +269,7 @@ class Press:
                 " well, or leave them at 0"
             )
 
-    def _check_weights_and_direction(self) -> None:
+    def _check_weights(self) -> None:
         weights = self.weights
         unused = weights is not None and not (weights[self.data] > 0).any()
         if weights is not None and ((weights < 0).any() or (unused and not self.has_readings)):
@@ -249,19 +277,37 @@ class Press:
                 "weights must be at least 0, and above 0 for some observed degree of freedom that"
                 " may move"
             )
+
+    def _check_direction(self) -> None:
         if self.direction is not None:
+            require_finite(self.direction, f"{self.label}: direction")
             length = float(np.linalg.norm(self.direction))
             if abs(length - 1.0) > 1e-6:
                 raise self._error(f"direction has length {length:g}; give a unit vector, or None")
 
 
-def _constant(value: float | bool, n_points: int) -> np.ndarray:
-    """Return a read-only nodal field that takes no memory."""
-    return np.broadcast_to(np.array(value), (n_points, 3))
+def distinct(presses: Iterable[Press]) -> list[Press]:
+    """Return the first of presses that share their nodal fields and have no other displacements."""
+    seen: dict[Any, Press] = {}
+    for index, press in enumerate(presses):
+        by_nodes = press.probe is None or press.surface is not None
+        fields = () if by_nodes else tuple(map(id, press._shareable))
+        seen.setdefault(fields or index, press)
+    return list(seen.values())
+
+
+@lru_cache(64)
+def constant_field(name: str, n_points: int) -> np.ndarray:
+    """Return a nodal field without values, of a press by a probe; it takes no memory."""
+    return np.broadcast_to(np.array(PRESS_ARRAYS[name]), (n_points, 3))
 
 
 def _only(
-    mask: Bool[np.ndarray, "n 3"], values: Float[np.ndarray, "n 3"], other: float
+    mask: Bool[np.ndarray, "n 3"], values: Float[np.ndarray, "n 3"], name: str
 ) -> Float[np.ndarray, "n 3"]:
-    """Return values where the mask is set, and `other` elsewhere."""
-    return np.where(mask, values, other) if mask.any() else _constant(other, len(mask))
+    """Return values where the mask is set, and the constant of the field elsewhere."""
+    if not mask.any():
+        return constant_field(name, len(mask))
+    result = np.where(mask, values, PRESS_ARRAYS[name])
+    same = not values.flags.writeable and np.array_equal(values, result, equal_nan=True)
+    return values if same else result

@@ -13,6 +13,8 @@ from tactorch.recording.arrays import make_array, require_finite
 if TYPE_CHECKING:
     from tactorch.fem.contact import Probe
 
+_NO_ROTATION = np.eye(3)
+_ORTHONORMAL = 1e-5  # error of the products of the columns of a rotation
 _RESOLUTION = 1e-3  # of a depth, over the largest distance within a probe
 
 
@@ -45,8 +47,8 @@ class ProbePose:
                 "least 0 mm"
             )
         _set(self, "probe", position_mm=(3,), rotation=(3, 3))
-        product = self.rotation @ self.rotation.T
-        if not np.allclose(product, np.eye(3), atol=1e-6) or np.linalg.det(self.rotation) < 0.0:
+        errors = np.abs(self.rotation @ self.rotation.T - _NO_ROTATION)
+        if errors.max() > _ORTHONORMAL or np.linalg.det(self.rotation) < 0.0:
             raise RecordingError("probe: rotation is not a rotation; give an orthonormal matrix")
 
     def distances(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:

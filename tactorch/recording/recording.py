@@ -17,7 +17,7 @@ from tactorch.mesh import TetMesh
 from tactorch.recording.arrays import make_array, require_finite
 from tactorch.recording.material import MaterialSpec
 from tactorch.recording.plausibility import check_units, free_motion
-from tactorch.recording.press import Press
+from tactorch.recording.press import Press, distinct
 from tactorch.recording.storage import open_recording, write_recording
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class Recording(Displayed):
         for press in self.presses:
             press.validate(self.mesh.n_points)
         if check_units_:
-            check_units(self.mesh.diagonal, self.presses, self.truth)
+            check_units(self.mesh.diagonal, distinct(self.presses), self.truth)
         self._check_loads_and_supports()
 
     def save(self, path: str | Path) -> None:
@@ -162,18 +162,19 @@ class Recording(Displayed):
         """Return a description of the recording in a few lines of text."""
         size = " x ".join(f"{edge:.3g}" for edge in self.mesh.bounds[1] - self.mesh.bounds[0])
         presses, material = self.presses, self.material
+        different = distinct(presses)
         known = [press.noise_mm for press in presses if press.noise_mm is not None]
         noise = f"{_range(known)} mm" if known else "unknown"
         if 0 < len(known) < len(presses):
             noise += f" (unknown for {len(presses) - len(known)})"
         supports = {
-            "springs": any(press.springs.any() for press in presses),
-            "fixed nodes": any(press.fixed.any() for press in presses),
+            "springs": any(press.springs.any() for press in different),
+            "fixed nodes": any(press.fixed.any() for press in different),
         }
         parameters = "".join(f", {key} {value:g}" for key, value in material.parameters.items())
         force = _range([float(np.linalg.norm(press.total_force)) for press in presses])
-        displacement = _range([press.largest_displacement for press in presses])
-        observed = _range([int(press.observed.sum()) for press in presses])
+        displacement = _range([press.largest_displacement for press in different])
+        observed = _range([int(press.observed.sum()) for press in different])
         truth = "unknown" if self.truth is None else f"{_range(self.truth)} MPa"
         gravity = float(np.linalg.norm(self.gravity)) / 1000
         lines = [
@@ -240,7 +241,7 @@ class Recording(Displayed):
     def _check_loads_and_supports(self) -> None:
         weight = bool(self.density) and bool(self.gravity.any())
         motions: dict[bytes, str | None] = {}
-        for press in self.presses:
+        for press in distinct(self.presses):
             moved = press.probe is not None or press.prescribed.any()
             if not (weight or press.forces.any() or moved):
                 raise RecordingError(

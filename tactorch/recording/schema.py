@@ -1,6 +1,6 @@
 """Layout of the file of a recording: HDF5.
 
-Versions 2 to 11 (n nodes, m elements; arrays row by row, gzip with checksums; text is UTF-8 of
+Versions 2 to 13 (n nodes, m elements; arrays row by row, gzip with checksums; text is UTF-8 of
 fixed length; the structure is that of HDF5 1.10, with checksums):
 
 | path | type | unit |
@@ -44,27 +44,40 @@ fixed length; the structure is that of HDF5 1.10, with checksums):
 
 With a probe, nodal fields that are zero, or NaN, throughout are absent.
 
+In versions 12 and 13, k consecutive presses by one probe that have the same nodal fields may share
+a group, with the number of the first of them as its name. The nodal fields are stored once, and the
+other arrays have a further first axis of length k. In place of attributes there are
+
+| path | type | unit |
+|---|---|---|
+| /presses/0000/names | text, JSON list of k names, with its SHA-256 | |
+| /presses/0000/step | int64 (k,) | |
+| /presses/0000/noise_mm | float64 (k,), NaN where unknown | mm |
+| /presses/0000/probe/deviation_mm | float64 (k,) | mm |
+
 Links, external storage and virtual datasets are refused: they lead to other files.
 
-In versions 7, 9 and 11 presses follow the end of the HDF5 part, as its superblock states it. HDF5
-ignores them, and drops them when it opens the file for writing. Each is a record of 60 bytes (the
-text `TACPRESS`; number of the press, uint64; length of the image, uint64; SHA-256 of the image;
-CRC-32 of the 56 bytes before; little-endian) and an image: an HDF5 file whose root is a group as
-/presses/0000. An incomplete last record is ignored. `tactorch.recording.compact` makes version 6, 8
-or 10 of such a file.
+In versions 7, 9, 11 and 13 presses follow the end of the HDF5 part, as its superblock states it.
+HDF5 ignores them, and drops them when it opens the file for writing. Each is a record of 60 bytes
+(the text `TACPRESS`; number of the press, uint64; length of the image, uint64; SHA-256 of the
+image; CRC-32 of the 56 bytes before; little-endian) and an image: an HDF5 file whose root is a
+group as /presses/0000. An incomplete last record is ignored. `tactorch.recording.compact` makes
+version 6, 8, 10 or 12 of such a file.
 
 A reader refuses a version above its own. A change of the layout raises `VERSION`;
 `tactorch.recording.storage` reads all versions. Version 1 had no `unloaded`; versions 2 and 3 were
 4 and 5 without `probe`, `force` and `surface`; in versions 4 and 5 all nodal fields were stored,
 and probes had no `deviation_mm`; versions 6 and 7 have no `regions`, and are written for meshes
 without regions, so that tactorch before version 8 reads them; versions 8 and 9 have no `errors`,
-and are written where no press has them.
+and are written where no press has them; before version 12 each press had a group of its own, as it
+has where the nodal fields differ.
 """
 
 FORMAT = "tactorch-recording"
-VERSION = 11
-GROWING_VERSIONS = (3, 5, 7, 9, 11)
+VERSION = 13
+GROWING_VERSIONS = (3, 5, 7, 9, 11, 13)
 ERRORS_VERSION = 10  # the first with `errors`
+STACKED_VERSION = 12  # the first with several presses in a group
 UNITS = "mm, N, MPa, tonne/mm^3"
 #: Nodal fields with the value they have throughout where a press by a probe does not store them.
 PRESS_ARRAYS: dict[str, float | bool] = {
@@ -76,19 +89,28 @@ PRESS_ARRAYS: dict[str, float | bool] = {
     "prescribed": 0.0,
 }
 PRESS_MASKS = ("observed", "fixed")
-PRESS_OPTIONAL = {"weights": (None, 3), "direction": (3,)}
-PRESS_READINGS = {
-    "force": {"axes": (None, 6), "values": (None,), "deviations": (None,), "about_mm": (3,)},
-    "surface": {
-        "points_mm": (None, 3),
-        "directions": (None, 3),
-        "displacement_mm": (None,),
-        "deviations_mm": (None,),
-    },
-    "errors": {"nodes": (None,), "forces": (None, None, 3), "displacement": (None, None, 3)},
+#: Other arrays of a press by name, with their shapes (None: any length); each group may be absent.
+PRESS_VALUES: dict[str, tuple[int | None, ...]] = {
+    "direction": (3,),
+    "probe/position_mm": (3,),
+    "probe/rotation": (3, 3),
+    "force/axes": (None, 6),
+    "force/values": (None,),
+    "force/deviations": (None,),
+    "force/about_mm": (3,),
+    "surface/points_mm": (None, 3),
+    "surface/directions": (None, 3),
+    "surface/displacement_mm": (None,),
+    "surface/deviations_mm": (None,),
+    "errors/nodes": (None,),
+    "errors/forces": (None, None, 3),
+    "errors/displacement": (None, None, 3),
 }
 
 
-def written_version(*, regions: bool, errors: bool = False, growing: bool = False) -> int:
+def written_version(
+    *, regions: bool, errors: bool = False, stacked: bool = False, growing: bool = False
+) -> int:
     """Return the version of a file: the lowest one whose readers know its content."""
-    return (ERRORS_VERSION if errors else 6 + 2 * regions) + growing
+    known = ERRORS_VERSION if errors else 6 + 2 * regions
+    return (STACKED_VERSION if stacked else known) + growing

@@ -1,9 +1,13 @@
 """Recordings on disk: one HDF5 file (`tactorch.recording.schema`), of unknown origin when read."""
 
 import json
+import math
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from io import BytesIO
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +17,10 @@ from tactorch.config import to_mapping
 from tactorch.errors import ConfigError, MeshError, RecordingError
 from tactorch.hdf5 import Hdf5Reader, open_hdf5, write_array, write_attributes, write_json
 from tactorch.mesh import TetMesh
+from tactorch.mesh.geometry import frozen
 from tactorch.recording import schema
 from tactorch.recording.material import MaterialSpec
-from tactorch.recording.press import Press
+from tactorch.recording.press import Press, constant_field
 from tactorch.recording.readings import ForceReading, PressErrors, ProbePose, SurfaceReading
 from tactorch.recording.tail import PressTail
 
@@ -37,6 +42,7 @@ class RecordingReader(Hdf5Reader):
         super().__init__(root, source, "recording", _LAYOUT, RecordingError)
         self._mesh = mesh
         self._shared: dict[str, np.ndarray] = {}
+        self._stacks: dict[int, _PressStack] = {}
         self.version = self.check_format(
             schema.FORMAT, schema.VERSION, f"give the file that {_WRITER} wrote"
         )
@@ -102,26 +108,63 @@ class RecordingReader(Hdf5Reader):
     def _count_stored(self) -> int:
         """Number of presses in HDF5; a file that declares more than it holds is refused."""
         count: int = self.attribute("presses", "count", int)
-        groups = len(self.group("presses"))
-        if not 0 <= count <= groups:
+        self.group("presses")
+        held = self._firsts[-1]
+        if not 0 <= count <= held:
             raise self.error(
-                f"declares {count} presses (attribute 'count' of 'presses') and holds {groups}; "
+                f"declares {count} presses (attribute 'count' of 'presses') and holds {held}; "
                 "the file is incomplete: write it again"
             )
         return count
 
+    @cached_property
+    def _firsts(self) -> list[int]:
+        """Number of the first press of each group, and their number in all."""
+        firsts = [0]
+        while self.has(path := _path(firsts[-1])):
+            stacked = self._is_stacked(path)
+            size = len(self.array(f"{path}/step", "i", (None,))) if stacked else 1
+            if size == 0:
+                raise self.error(f"dataset '{path}/step' is empty; write the recording again")
+            firsts.append(firsts[-1] + size)
+        return firsts
+
+    def _is_stacked(self, path: str) -> bool:
+        return self.version >= schema.STACKED_VERSION and self.has(f"{path}/step")
+
+    def directions(self) -> list[np.ndarray] | None:
+        """Read the directions of the presses that HDF5 holds, (3,); None where one has none."""
+        found: list[np.ndarray] = []
+        for first in self._firsts[:-1]:
+            path, lead = _path(first), (None,) * self._is_stacked(_path(first))
+            if not self.has(f"{path}/direction"):
+                return None
+            found.extend(self.array(f"{path}/direction", "f", (*lead, 3)).reshape(-1, 3))
+        return found
+
     def press(self, index: int) -> Press:
         """Read and check a press by its number from 0."""
+        n_points = self.mesh().n_points
         if self.tail is None or index < self.tail.first:
-            n_points = self.mesh().n_points
-            return _read_press(self, f"presses/{index:04d}", n_points, self._shared)
+            first = self._firsts[bisect_right(self._firsts, index) - 1]
+            if first not in self._stacks:
+                path = _path(first)
+                if not self._is_stacked(path):
+                    return _read_press(self, path, n_points, self._shared)
+                self._stacks[first] = _PressStack(self, path, n_points)
+            return self._stacks[first].press(index - first)
         import h5py
 
         image = BytesIO(self.tail.image(index - self.tail.first))
         with h5py.File(image, "r") as file:
             source = f"{self.source}, press {index + 1}"
             reader = Hdf5Reader(file, source, "recording", "append_press", RecordingError)
-            return _read_press(reader, "/", self.mesh().n_points, self._shared)
+            return _read_press(reader, "/", n_points, self._shared)
+
+
+def _path(first: int) -> str:
+    """Return the group of presses, by the number of the first one."""
+    return f"presses/{first:04d}"
 
 
 def _shared(known: dict[str, np.ndarray], field: str, array: np.ndarray) -> np.ndarray:
@@ -138,52 +181,85 @@ def _read_press(
     reader: Hdf5Reader, path: str, n_points: int, shared: dict[str, np.ndarray]
 ) -> Press:
     """Read and check the press in the group `path`; `shared` has the arrays of the one before."""
+    values = _read_arrays(reader, path)
+    values |= {key: reader.attribute(path, key, t) for key, t in (("name", str), ("step", int))}
+    for group, key in ((path, "noise_mm"), (f"{path}/probe", "deviation_mm")):
+        if reader.has(group) and key in reader.group(group).attrs:
+            name = key if group == path else f"probe/{key}"
+            values[name] = reader.attribute(group, key, float)
+    return _make_press(reader, path, _read_nodal(reader, path, n_points, shared), values)
+
+
+class _PressStack:
+    """Presses by one probe, with the same nodal fields, that share a group."""
+
+    def __init__(self, reader: RecordingReader, path: str, n_points: int) -> None:
+        self._reader, self._path = reader, path
+        steps = reader.array(f"{path}/step", "i", (None,)).tolist()
+        lead = (len(steps),)
+        names = reader.json(f"{path}/names", list)
+        if len(names) != len(steps) or not all(isinstance(name, str) for name in names):
+            raise reader.error(f"dataset '{path}/names' is not a list of {len(steps)} texts")
+        noise = reader.array(f"{path}/noise_mm", "f", lead).tolist()
+        deviations = reader.array(f"{path}/probe/deviation_mm", "f", lead).tolist()
+        noise = [None if math.isnan(value) else value for value in noise]
+        known = {"name": names, "step": steps, "noise_mm": noise, "probe/deviation_mm": deviations}
+        self._values = {**_read_arrays(reader, path, lead), **known}
+        self._nodal = _read_nodal(reader, path, n_points, {})
+
+    def press(self, index: int) -> Press:
+        """Check a press and return it, by its number in the group."""
+        values = {key: each[index] for key, each in self._values.items()}
+        return _make_press(self._reader, self._path, self._nodal, values)
+
+
+def _read_nodal(
+    reader: Hdf5Reader, path: str, n_points: int, shared: dict[str, np.ndarray]
+) -> dict[str, Any]:
+    """Read the nodal fields of a group, and its probe."""
     fields: dict[str, Any] = {}
-    by_probe = reader.has(f"{path}/probe")
-    for field, constant in schema.PRESS_ARRAYS.items():
+    if reader.has(f"{path}/probe"):
+        fields["probe"] = _read_probe(reader, f"{path}/probe")
+    for field in schema.PRESS_ARRAYS:
         kind = "b" if field in schema.PRESS_MASKS else "f"
-        if by_probe and not reader.has(f"{path}/{field}"):
-            fields[field] = np.broadcast_to(np.array(constant), (n_points, 3))
+        if fields.get("probe") and not reader.has(f"{path}/{field}"):
+            fields[field] = constant_field(field, n_points)
         else:
             array = reader.array(f"{path}/{field}", kind, (n_points, 3))
             fields[field] = _shared(shared, field, array)
-    for field, shape in schema.PRESS_OPTIONAL.items():
-        if reader.has(f"{path}/{field}"):
-            wanted = tuple(n_points if size is None else size for size in shape)
-            fields[field] = reader.array(f"{path}/{field}", "f", wanted)
-    fields["name"] = reader.attribute(path, "name", str)
-    fields["step"] = reader.attribute(path, "step", int)
-    if "noise_mm" in reader.group(path).attrs:
-        fields["noise_mm"] = reader.attribute(path, "noise_mm", float)
+    if reader.has(f"{path}/weights"):
+        fields["weights"] = reader.array(f"{path}/weights", "f", (n_points, 3))
+    return fields
+
+
+def _read_arrays(reader: Hdf5Reader, path: str, lead: tuple[int, ...] = ()) -> dict[str, Any]:
+    """Read the other arrays of a group by name, with first axes of the lengths `lead`."""
+    found = {}
+    for name, shape in schema.PRESS_VALUES.items():
+        first, _, key = name.rpartition("/")
+        if reader.has(f"{path}/{first or key}"):
+            kind = "i" if key == "nodes" else "f"
+            found[name] = frozen(reader.array(f"{path}/{name}", kind, (*lead, *shape)))
+    return found
+
+
+def _make_press(
+    reader: Hdf5Reader, path: str, nodal: Mapping[str, Any], values: Mapping[str, Any]
+) -> Press:
+    """Return the press of nodal fields and probe, and of its other values by name."""
+    parts: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        first, _, key = name.rpartition("/")
+        parts.setdefault(first, {})[key] = value
+    fields = {**nodal, **parts.pop("")}
     try:
-        return Press(**fields, **_read_readings(reader, path))
+        if "probe" in nodal:
+            fields["probe"] = ProbePose(nodal["probe"], **parts.pop("probe"))
+        for name, part in parts.items():
+            fields[name] = _READINGS[name](**part)
+        return Press(**fields)
     except RecordingError as error:
         raise reader.error(f"'{path}' is not valid: {error}") from error
-
-
-def _read_readings(reader: Hdf5Reader, path: str) -> dict[str, Any]:
-    """Read the probe of the press in the group `path`, and its readings."""
-    fields: dict[str, Any] = {}
-    for name, kind in _READINGS.items():
-        if reader.has(f"{path}/{name}"):
-            shapes = schema.PRESS_READINGS[name].items()
-            fields[name] = kind(
-                **{
-                    key: reader.array(f"{path}/{name}/{key}", "i" if key == "nodes" else "f", shape)
-                    for key, shape in shapes
-                }
-            )
-    group = f"{path}/probe"
-    if reader.has(group):
-        fields["probe"] = ProbePose(
-            _read_probe(reader, group),
-            reader.array(f"{group}/position_mm", "f", (3,)),
-            reader.array(f"{group}/rotation", "f", (3, 3)),
-            reader.attribute(group, "deviation_mm", float)
-            if "deviation_mm" in reader.group(group).attrs
-            else 0.0,
-        )
-    return fields
 
 
 def _read_probe(reader: Hdf5Reader, group: str) -> Any:
@@ -208,8 +284,10 @@ def open_recording(path: str | Path) -> Iterator[RecordingReader]:
 def write_recording(group: "h5py.Group", fields: Mapping[str, Any]) -> None:
     """Write the fields of a `Recording` into a file or group."""
     errors = any(press.errors is not None for press in fields["presses"])
-    regions = fields["mesh"].regions
-    version = schema.written_version(regions=regions is not None, errors=errors)
+    regions, groups = fields["mesh"].regions, _groups(fields["presses"])
+    version = schema.written_version(
+        regions=regions is not None, errors=errors, stacked=len(groups) < len(fields["presses"])
+    )
     write_attributes(group, format=schema.FORMAT, version=version, units=schema.UNITS)
     if fields["density"] is not None:
         write_attributes(group, density=fields["density"])
@@ -228,8 +306,24 @@ def write_recording(group: "h5py.Group", fields: Mapping[str, Any]) -> None:
             write_array(group, name, fields[name])
     presses = group.create_group("presses")
     write_attributes(presses, count=len(fields["presses"]))
-    for index, press in enumerate(fields["presses"]):
-        write_press(presses.create_group(f"{index:04d}"), press)
+    first = 0
+    for same in groups:
+        write = write_press if len(same) == 1 else _write_stack
+        write(presses.create_group(f"{first:04d}"), *same)
+        first += len(same)
+
+
+def _groups(presses: Sequence[Press]) -> list[list[Press]]:
+    """Return the presses of each group."""
+
+    def layout(numbered: tuple[int, Press]) -> Any:
+        index, press = numbered
+        if press.probe is None:
+            return index
+        arrays = [(name, array.shape) for name, array in _arrays(press).items()]
+        return repr(press.probe.probe), arrays, [a.tobytes() for a in _nodal(press).values()]
+
+    return [[press for _, press in same] for _, same in groupby(enumerate(presses), layout)]
 
 
 def write_press(group: "h5py.Group", press: Press) -> None:
@@ -237,21 +331,53 @@ def write_press(group: "h5py.Group", press: Press) -> None:
     write_attributes(group, name=press.name, step=press.step)
     if press.noise_mm is not None:
         write_attributes(group, noise_mm=press.noise_mm)
-    for field, constant in schema.PRESS_ARRAYS.items():
-        array = getattr(press, field)
-        everywhere = np.broadcast_to(np.array(constant), array.shape)
-        if press.probe is not None and np.array_equal(array, everywhere, equal_nan=True):
-            continue
-        write_array(group, field, array.astype(np.uint8) if field in schema.PRESS_MASKS else array)
-    for field in schema.PRESS_OPTIONAL:
-        if getattr(press, field) is not None:
-            write_array(group, field, getattr(press, field))
-    for name in _READINGS:
-        if (reading := getattr(press, name)) is not None:
-            for field in schema.PRESS_READINGS[name]:
-                write_array(group, f"{name}/{field}", getattr(reading, field))
+    for name, array in {**_nodal(press), **_arrays(press)}.items():
+        write_array(group, name, array)
     if press.probe is not None:
-        _write_probe(group.create_group("probe"), press.probe)
+        _write_probe(group["probe"], press.probe)
+        if press.probe.deviation_mm:
+            write_attributes(group["probe"], deviation_mm=float(press.probe.deviation_mm))
+
+
+def _write_stack(group: "h5py.Group", *presses: Press) -> None:
+    """Write presses by one probe, with the same nodal fields, into an empty group."""
+    poses = [press.probe for press in presses if press.probe is not None]
+    write_json(group, "names", [press.name for press in presses])
+    write_array(group, "step", np.array([press.step for press in presses]))
+    noise = [np.nan if press.noise_mm is None else press.noise_mm for press in presses]
+    write_array(group, "noise_mm", np.array(noise))
+    for name, array in _nodal(presses[0]).items():
+        write_array(group, name, array)
+    each = [_arrays(press) for press in presses]
+    for name in each[0]:
+        write_array(group, name, np.stack([arrays[name] for arrays in each]))
+    deviations = np.array([pose.deviation_mm for pose in poses])
+    write_array(group, "probe/deviation_mm", deviations)
+    _write_probe(group["probe"], poses[0])
+
+
+def _nodal(press: Press) -> dict[str, np.ndarray]:
+    """Return the nodal fields that are stored."""
+    stored = {}
+    for name in schema.PRESS_ARRAYS:
+        array = getattr(press, name)
+        everywhere = constant_field(name, len(array))
+        constant = array is everywhere or np.array_equal(array, everywhere, equal_nan=True)
+        if press.probe is None or not constant:
+            stored[name] = array.view(np.uint8) if name in schema.PRESS_MASKS else array
+    return stored if press.weights is None else {**stored, "weights": press.weights}
+
+
+def _arrays(press: Press) -> dict[str, np.ndarray]:
+    """Return the other arrays of a press that are stored, by name."""
+    owners = {"": press, "probe": press.probe}
+    owners |= {name: getattr(press, name) for name in _READINGS}
+    found = {}
+    for name in schema.PRESS_VALUES:
+        first, _, key = name.rpartition("/")
+        if (array := getattr(owners[first], key, None)) is not None:
+            found[name] = array
+    return found
 
 
 def _write_probe(group: "h5py.Group", pose: ProbePose) -> None:
@@ -259,7 +385,3 @@ def _write_probe(group: "h5py.Group", pose: ProbePose) -> None:
 
     name = PROBES.name_of(type(pose.probe))
     write_attributes(group, name=name, sizes=json.dumps(to_mapping(pose.probe)))
-    if pose.deviation_mm:
-        write_attributes(group, deviation_mm=float(pose.deviation_mm))
-    write_array(group, "position_mm", pose.position_mm)
-    write_array(group, "rotation", pose.rotation)

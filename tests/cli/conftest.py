@@ -78,11 +78,9 @@ def read_once() -> Iterator[None]:
     Before a run, Hydra composes all settings to learn whether they set `hydra.mode`; none do.
     """
     from tactorch.cli import schema
-    from tactorch.config import registry
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Hydra, "get_mode", lambda *args, **options: None)
-        patch.setattr(registry, "entry_points", functools.cache(registry.entry_points))
         patch.setattr(schema, "_code_key", functools.cache(schema._code_key))
         yield
 

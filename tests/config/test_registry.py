@@ -1,5 +1,6 @@
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint
+from functools import cache
+from importlib.metadata import EntryPoint, EntryPoints
 from typing import Any
 
 import pytest
@@ -13,6 +14,24 @@ from tactorch.errors import ConfigError
 class Own(Options):
     section = "shapes"
     size: float = option(1.0, "Size", gt=0)
+
+
+def test_installed_packages_are_searched_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The name of a component is looked up for each press that is saved."""
+    searches = []
+
+    def search() -> EntryPoints:
+        searches.append(1)
+        return EntryPoints()
+
+    monkeypatch.setattr(module.metadata, "entry_points", search)
+    for cached in (module.entry_points, module._installed):
+        monkeypatch.setattr(module, cached.__name__, cache(cached.__wrapped__))
+    monkeypatch.setattr(module, "REGISTRIES", {})
+    for section in ("shapes", "bodies"):
+        registry = Registry(section, {"own": f"{__name__}:Own"})
+        assert [registry.name_of(Own) for _ in range(3)] == ["own"] * 3
+    assert len(searches) == 1
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import nnls
@@ -157,6 +158,62 @@ def test_derivatives_by_the_moduli(per_point: bool) -> None:
     assert derivative == pytest.approx(expected, rel=5e-3, abs=2e-3 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize("per_point", [False, True])
+def test_a_change_of_a_small_part_is_that_of_the_whole_solved_anew(
+    per_point: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    body, supports = block(18.0, 9.0, 3.0)
+    at = [(float(x), float(y)) for x in range(-4, 5, 2) for y in range(-4, 5, 2)]
+    mesh, shape = body.mesh, body.assembly.weights.shape if per_point else (body.mesh.n_tets,)
+    distances = np.linalg.norm(mesh.centroids - [1.0, 1.0, -2.0], axis=1)
+    lump = np.argsort(distances)[:2]
+    rng = np.random.default_rng(1)
+    youngs = np.full(shape, 0.1)
+    youngs[lump] *= np.exp(rng.uniform(-1.0, 3.0, youngs[lump].shape))
+    changes = np.stack([youngs, np.zeros(shape), youngs, np.zeros(shape)])
+    changes[1][lump] = youngs[lump]
+    changes[2][lump] *= 3.0
+    changes[3][: mesh.n_tets // 2] = 0.1  # of a large part
+    results = []
+    for limit in (3000, 0):
+        monkeypatch.setattr("tactorch.fem.indentation._MAX_LOCAL", limit)
+        indented = Indentation(body, supports, places(*at)).at(youngs)
+        assert (indented._local is not None) == (limit > 0)
+        results.append((indented.compliance, indented.compliance_changes(changes.reshape(4, -1))))
+    (local, changed), (anew, expected) = results
+    unit = Indentation(body, supports, places(*at)).at(np.full(mesh.n_tets, 0.1)).compliance
+    assert np.abs(anew - unit).max() > 0.1 * unit.max()
+    assert local == pytest.approx(anew, rel=1e-4, abs=1e-4 * anew.max())
+    for column, wanted in zip(changed.T, expected.T, strict=True):
+        assert column == pytest.approx(wanted, abs=1e-3 * np.abs(wanted).max())
+    step = 1e-3
+    moved = Indentation(body, supports, places(*at)).at(youngs * (1.0 + step)).compliance
+    first = (anew - moved)[:, 0, 0] / step
+    assert changed[: len(at), 0] == pytest.approx(first, rel=5e-3)
+
+
+def test_places_are_solved_in_parts_of_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    body, supports = block(18.0, 9.0, 3.0)
+    youngs = 0.1 * np.exp(0.3 * np.random.default_rng(0).standard_normal(body.mesh.n_tets))
+    chain = sp.random(5, 30, 0.3, "csr", random_state=0)
+    where = places(*((x, 0.0) for x in (-2.0, -1.0, 0.0, 1.0, 2.0)))
+
+    def results() -> tuple[np.ndarray, ...]:
+        present = Indentation(body, supports, where).at(youngs)
+        changes = present.compliance_changes(np.stack([youngs, youngs**2]))
+        return present.compliance, changes, present.combined_rates(chain), present.rates
+
+    whole = results()
+    monkeypatch.setattr("tactorch.fem.indentation._CHUNK_BYTES", 100)
+    monkeypatch.setattr("tactorch.fem.indentation._KEPT", 0.0)  # solved again for derivatives
+    for one, other in zip(results(), whole, strict=True):
+        assert one == pytest.approx(other, rel=1e-3, abs=1e-4 * float(np.abs(other).max()))
+    assert whole[2] == pytest.approx(chain @ whole[3], rel=1e-4, abs=1e-4 * np.abs(whole[2]).max())
+    monkeypatch.setenv("TACTORCH_WORK_GIB", "1e-6")
+    with pytest.raises(ConfigError, match="TACTORCH_WORK_GIB=1 if the memory"):
+        results()
+
+
 def test_forces_are_proportional_to_the_modulus() -> None:
     body, supports = block(18.0, 9.0, 3.0)
     indentation = Indentation(body, supports, places((0.0, 0.0)))
@@ -167,7 +224,7 @@ def test_forces_are_proportional_to_the_modulus() -> None:
     )
     assert stiff == pytest.approx(3.0 * soft, rel=1e-5)
     nearly = np.full(body.mesh.n_tets, 0.1)
-    nearly[0] *= 1.0 + 1e-6  # solved anew, not scaled
+    nearly[0] *= 1.002  # solved anew, not scaled
     assert indentation.at(nearly).press(which, depths).force_n == pytest.approx(soft, rel=1e-4)
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tactorch.errors import RecordingError
-from tactorch.recording import MaterialSpec, Press
+from tactorch.fem.contact import Ball
+from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose
 
 
 def test_fills_in_what_was_not_given(fields: dict[str, Any]) -> None:
@@ -154,3 +155,25 @@ def test_material_refuses_other_nonsense() -> None:
         MaterialSpec("", 0.3)
     with pytest.raises(RecordingError, match="lame_factor is inf"):
         MaterialSpec("neo_hookean", 0.3, {"lame_factor": float("inf")})
+
+
+def test_a_press_with_shared_fields_is_still_checked_for_its_own() -> None:
+    """Nodal fields of the press before are not checked again; what differs is."""
+    held = np.zeros((4, 3), dtype=bool)
+    held.setflags(write=False)
+    pose = ProbePose(Ball(1.0), np.array([0.0, 0.0, 1.0]))
+    force = ForceReading.along([0.0, 0.0, 1.0], 1.0, 0.1)
+    fields = {**vars(Press.by_probe(pose, 4, force=force, fixed=held))}
+    assert Press(**fields).fixed is held
+    with pytest.raises(RecordingError, match="direction has length 2"):
+        Press(**fields | {"direction": np.array([2.0, 0.0, 0.0])})
+    with pytest.raises(RecordingError, match="observed is empty"):
+        Press(**fields | {"force": None})
+    with pytest.raises(RecordingError, match="no probe and no support"):
+        Press(**fields | {"probe": None})
+    with pytest.raises(RecordingError, match="weights must be at least 0"):
+        Press(**fields | {"weights": -np.ones((4, 3))})
+    stiff = -np.ones((4, 3))
+    stiff.setflags(write=False)
+    with pytest.raises(RecordingError, match="negative stiffness"):
+        Press(**fields | {"springs": stiff})

@@ -10,8 +10,20 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from tactorch.errors import FileError, RecordingError
+from tactorch.fem.contact import Ball
 from tactorch.mesh import box_mesh
-from tactorch.recording import MaterialSpec, Press, Recording
+from tactorch.recording import (
+    ForceReading,
+    MaterialSpec,
+    Press,
+    ProbePose,
+    Recording,
+    SurfaceReading,
+    append_press,
+    compact,
+    read_presses,
+)
+from tactorch.recording.append import digest
 
 Make = Callable[..., Recording]
 ARRAYS = ("forces", "observed", "displacement", "springs", "fixed", "prescribed")
@@ -269,7 +281,7 @@ def mark(group: str, name: str, value: Any) -> Callable[[h5py.File], None]:
     [
         (mark("/", "format", None), "has format None"),
         (mark("/", "format", "other"), "has format 'other'"),
-        (mark("/", "version", 12), "has version 12, and this tactorch reads up to 11; upgrade"),
+        (mark("/", "version", 14), "has version 14, and this tactorch reads up to 13; upgrade"),
         (mark("/", "version", 0), "has version 0, which never existed"),
         (mark("/", "version", "one"), "attribute 'version' of '/' is 'one'; int is needed"),
         (mark("/", "units", "m"), "is in units 'm'"),
@@ -312,6 +324,113 @@ def test_refuses_by_file_and_dataset(
         change(file)
     with pytest.raises(RecordingError, match=rf"^recording '.*case\.h5' .*{says}"):
         Recording.load(saved)
+
+
+BLOCK = box_mesh(10.0, 2)
+HELD = np.zeros((27, 3), dtype=bool)
+HELD[BLOCK.points[:, 2] < 1.0] = True
+HELD.setflags(write=False)
+
+
+def probe_press(k: int, **fields: Any) -> Press:
+    """Return a press by a ball, each with other numbers."""
+    at = np.array([0.1 * k, 0.0, 8.0 - 0.01 * k])
+    own: dict[str, Any] = {
+        "direction": np.array([0.0, 0.0, -1.0]), "noise_mm": None if k % 2 else 0.1,
+        "fixed": HELD, "step": k, "name": f"n\N{DEGREE SIGN}{k}",
+        "force": ForceReading.along([0.0, 0.0, 1.0], 0.5 + k, 0.01),
+    }  # fmt: skip
+    return Press.by_probe(ProbePose(Ball(3.0), at, deviation_mm=0.1 * (k % 2)), 27, **own | fields)
+
+
+def palpation(*presses: Press) -> Recording:
+    return Recording(BLOCK, presses, MaterialSpec("linear", 0.45))
+
+
+def same_presses(one: Recording, other: Recording) -> None:
+    for a, b in zip(one.presses, other.presses, strict=True):
+        assert (a.name, a.step, a.noise_mm) == (b.name, b.step, b.noise_mm)
+        assert digest(a) == digest(b)
+
+
+@pytest.fixture
+def stacked(tmp_path: Path) -> Path:
+    path = tmp_path / "case.h5"
+    palpation(*map(probe_press, range(5))).save(path)
+    return path
+
+
+def test_presses_by_one_probe_share_a_group(stacked: Path) -> None:
+    with h5py.File(stacked) as file:
+        assert file.attrs["version"] == 12
+        assert list(file["presses"]) == ["0000"]
+        assert file["presses/0000/fixed"].shape == (27, 3)
+        assert file["presses/0000/force/values"].shape == (5, 1)
+    loaded = Recording.load(stacked)
+    same_presses(loaded, palpation(*map(probe_press, range(5))))
+    assert loaded.presses[0].fixed is loaded.presses[4].fixed
+
+
+def test_presses_with_other_nodal_fields_have_other_groups(tmp_path: Path) -> None:
+    free = HELD.copy()
+    free[-1] = True
+    surface = SurfaceReading(np.zeros((1, 3)), np.eye(3)[:1], np.ones(1), np.ones(1))
+    nodal = Press(np.ones((27, 3)), ~HELD, np.ones((27, 3)), fixed=HELD)
+    recording = palpation(
+        probe_press(0), probe_press(1), nodal, nodal, probe_press(2, fixed=free),
+        probe_press(3, fixed=free), probe_press(4, surface=surface),
+    )  # fmt: skip
+    recording.save(tmp_path / "case.h5")
+    with h5py.File(tmp_path / "case.h5") as file:
+        assert list(file["presses"]) == ["0000", "0002", "0003", "0004", "0006"]
+    same_presses(Recording.load(tmp_path / "case.h5"), recording)
+
+
+def test_a_press_is_appended_to_presses_that_share_a_group(stacked: Path) -> None:
+    presses = [probe_press(k) for k in range(8)]
+    for k in range(5, 8):
+        assert append_press(stacked, presses[k]) == k
+    same_presses(Recording.load(stacked), palpation(*presses))
+    compact(stacked)
+    same_presses(Recording.load(stacked), palpation(*presses))
+    with h5py.File(stacked) as file:
+        assert file.attrs["version"] == 12
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (mark("presses", "count", 6), "declares 6 presses .* and holds 5"),
+        (drop("presses/0000/names"), "lacks dataset 'presses/0000/names'"),
+        (put("presses/0000/names", b'["a"]'), "not a list of 5 texts"),
+        (put("presses/0000/step", np.zeros(0, int)), "step' is empty"),
+        (put("presses/0000/step", np.zeros(6, int)), r"\(6,\) is needed|of 6"),
+        (put("presses/0000/step", -np.ones(5, int)), "'presses/0000' is not val"),
+        (
+            put("presses/0000/force/values", np.ones((4, 1))),
+            r"force/values' has shape \(4, 1\); \(5, any\)",
+        ),
+        (
+            put("presses/0000/force/values", np.full((5, 1), np.nan)),
+            "'presses/0000' is not valid: force: values",
+        ),
+    ],
+)
+def test_damaged_groups_are_refused(
+    stacked: Path, change: Callable[[h5py.File], None], says: str
+) -> None:
+    with h5py.File(stacked, "r+") as file:
+        change(file)
+    with pytest.raises(RecordingError, match=rf"^recording '.*case\.h5' .*({says})"):
+        Recording.load(stacked)
+
+
+def test_one_broken_press_of_a_group_leaves_the_others(stacked: Path) -> None:
+    with h5py.File(stacked, "r+") as file:
+        file["presses/0000/force/values"][2] = np.nan
+    found = read_presses(stacked)
+    assert list(found.presses) == [0, 1, 3, 4]
+    assert "force: values" in found.faults[2]
 
 
 def test_suspects_units_when_loading(saved: Path) -> None:

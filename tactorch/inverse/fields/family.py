@@ -174,9 +174,11 @@ class Family(ABC):
         """Return the indices of the volumes that may touch an inclusion."""
         shape, margin = self.shape(own), 4.0 * sites.width
         longest, _, shortest = shape.semi_axes_mm
-        apart = sites.points - own.center
-        distance = np.sqrt((apart * apart).sum(axis=2).min(axis=1))
-        near = np.flatnonzero(distance < self.reach * longest + margin)
+        reach = self.reach * longest + margin
+        apart = np.linalg.norm(sites.centers - own.center, axis=1)
+        near = np.flatnonzero(apart < reach + sites.radii)
+        apart = np.linalg.norm(sites.points[near] - own.center, axis=2).min(axis=1)
+        near = near[apart < reach[near]]
         if self.reach * longest > shortest:
             # The distance is at least that to the unit shape times the shortest semi-axis.
             points = sites.points[near]

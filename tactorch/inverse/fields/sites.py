@@ -41,6 +41,12 @@ class Sites:
         """Centre of each volume, mm."""
         return self.points.mean(axis=1)
 
+    @cached_property
+    def radii(self) -> Float[np.ndarray, " volumes"]:
+        """Largest distance of the sample points of each volume from its centre, mm."""
+        apart = self.points - self.centers[:, None]
+        return np.asarray(np.linalg.norm(apart, axis=2).max(axis=1)) * (1.0 + 1e-9)
+
     def fraction_inside(
         self, shape: InclusionShape, elements: Int[np.ndarray, " k"]
     ) -> Float[np.ndarray, " k"]:

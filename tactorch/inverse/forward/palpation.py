@@ -76,6 +76,7 @@ class PalpationEvaluation(Evaluation):
         self, problem: "PalpationProblem", body: IndentedBody, forces: BallForces, data: DataModel
     ) -> None:
         self._problem, self._body, self._forces = problem, body, forces
+        self._last: tuple[np.ndarray, np.ndarray] | None = None
         super().__init__(body.youngs, problem.assumed, np.zeros((0, 3)), [], data)
 
     @property
@@ -113,7 +114,7 @@ class PalpationEvaluation(Evaluation):
 
     def jacobian(self) -> Float[np.ndarray, "data moduli"]:
         """Return d residuals / d youngs, 1/MPa."""
-        return self._of_residuals(np.asarray(self._chain @ self._body.rates, dtype=np.float64))
+        return self._of_residuals(self._body.combined_rates(self._chain))
 
     def jacobian_times(self, change: Moduli) -> Float[np.ndarray, " data"]:
         """Return the change of the residuals by a change of the moduli (MPa)."""
@@ -121,9 +122,11 @@ class PalpationEvaluation(Evaluation):
         return self._of_residuals(self._chain @ moved.astype(np.float64))
 
     def linear_response(self, changes: Changes) -> tuple[Columns, list[NodalFields]]:
-        """Return `jacobian_times_each`; displacements are not kept."""
-        moved = self._body.compliance_changes(changes.reshape(len(changes), -1))
-        return self._of_residuals(self._chain @ moved), []
+        """Return `jacobian_times_each`; displacements are not kept, and the last response is."""
+        columns = changes.reshape(len(changes), -1)
+        if self._last is None or not np.array_equal(self._last[0], columns):
+            self._last = columns.copy(), self._body.compliance_changes(columns)
+        return self._of_residuals(self._chain @ self._last[1]), []
 
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Moduli:
         """Return the transpose of d residuals / d youngs times `weights`."""
@@ -272,17 +275,17 @@ def group_places(
     keys: dict[bytes, list[int]] = {}
     places = np.zeros(len(poses), dtype=int)
     first: list[int] = []
-    for i, pose in enumerate(poses):
-        key = np.round(pose.rotation[:, 2], 6).tobytes() + repr(pose.probe).encode()
-        axis = pose.rotation[:, 2]
-        for place in keys.setdefault(key, []):
-            apart = pose.position_mm - poses[first[place]].position_mm
-            across = np.linalg.norm(apart - (apart @ axis) * axis)
-            if across < _SAME_PLACE * pose.probe.sizes[0]:
-                places[i] = place
-                break
+    axes = np.array([pose.rotation[:, 2] for pose in poses])
+    positions = np.array([pose.position_mm for pose in poses])
+    across = positions - (positions * axes).sum(axis=1, keepdims=True) * axes
+    for i, (pose, axis) in enumerate(zip(poses, np.round(axes, 6), strict=True)):
+        same = keys.setdefault(axis.tobytes() + repr(pose.probe).encode(), [])
+        apart = np.linalg.norm(across[same] - across[i], axis=1)
+        near = np.flatnonzero(apart < _SAME_PLACE * pose.probe.sizes[0])
+        if len(near):
+            places[i] = places[same[near[0]]]
         else:
             places[i] = len(first)
-            keys[key].append(len(first))
+            same.append(i)
             first.append(i)
     return places, np.array(first)

@@ -1,9 +1,10 @@
 """Matched filter: where a small ball or a rod would reduce the misfit of a model most."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Bool, Float
 
 from tactorch.inverse.data.observations import DataModel
@@ -16,6 +17,8 @@ from tactorch.mesh import TetMesh
 _CENTRES, _RADII = 400, (0.1, 0.2)  # number, and radii over the size of the body
 # Half-lengths and radius of rods over the size of the body, and their directions, 30 degrees apart.
 _RODS, _ROD_RADIUS, _DIRECTIONS = (0.2, 0.4), 0.07, 6
+
+Chosen = Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +47,11 @@ class Balls:
         return Balls(*_places(kinds), np.hstack([k.fractions for k in kinds]))
 
     @staticmethod
-    def rods(mesh: TetMesh) -> Iterator["Balls"]:
+    def rods(mesh: TetMesh, are_wanted: Chosen) -> Iterator["Balls"]:
         """Yield the rods of each length and direction that are for the most part in a body.
 
-        They are along the longest two sides of the bounding box, or between them.
+        They are along the longest two sides of the bounding box, or between them, at centres that
+        are wanted.
         """
         axes = np.eye(3)[np.argsort(-np.ptp(mesh.points, axis=0))]
         size = float(np.cbrt(mesh.volumes.sum()))
@@ -58,7 +62,12 @@ class Balls:
                 across = np.cos(angle) * axes[1] - np.sin(angle) * axes[0]
                 spacings = np.array([half, 1.2 * radius, 2.0 * radius])
                 grid = _grid(mesh, np.stack([along, across, axes[2]]), spacings)
-                yield _inside(mesh, grid, radius, half * along)
+                yield _inside(mesh, grid[are_wanted(grid)], radius, half * along)
+
+    def only(self, chosen: Bool[np.ndarray, " balls"]) -> "Balls":
+        """Return some of the balls or rods."""
+        kept = self.centers[chosen], self.radii[chosen], self.halves[chosen]
+        return Balls(*kept, self.fractions[:, chosen])
 
 
 def _places(kinds: Sequence[Balls]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -99,10 +108,12 @@ def _distance_to_rods(
     half: Float[np.ndarray, "3"],
 ) -> Float[np.ndarray, "m n"]:
     """Return distances to the axes of rods, mm; to the centres of balls."""
-    apart = points[:, None] - centers
-    squares = np.einsum("mnk,mnk->mn", apart, apart)
+    middle = centers.mean(axis=0) if len(centers) else np.zeros(3)
+    points, centers = points - middle, centers - middle  # less round-off
+    squares = (points**2).sum(axis=1)[:, None] + (centers**2).sum(axis=1)
+    squares -= 2.0 * (points @ centers.T)
     if half.any():
-        length, along = float(half @ half), apart @ half
+        length, along = float(half @ half), (points @ half)[:, None] - centers @ half
         t = np.clip(along / length, -1.0, 1.0)
         squares += t * (t * length - 2.0 * along)
     return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
@@ -118,25 +129,31 @@ class MatchedFilter:
     responses: Float[np.ndarray, "data balls"]
 
     @staticmethod
-    def of(problem: InverseProblem, youngs_mpa: float, *, rods: bool = False) -> "MatchedFilter":
-        """Compute the responses to balls, and rods, of unit log-contrast in the body.
+    def of(
+        problem: InverseProblem, youngs_mpa: float, rods: Chosen | None = None
+    ) -> "MatchedFilter":
+        """Compute the responses to balls of unit log-contrast in the body.
 
-        The data of the problem have no correlated errors; see `whitened`.
+        The data of the problem have no correlated errors; see `whitened`. Where `rods` is given,
+        it returns which centres are of use, and there are rods, too; the responses are then in
+        single precision.
         """
         mesh = problem.recording.mesh
-        jacobian = problem.evaluate(np.full(mesh.n_tets, youngs_mpa)).jacobian() * youngs_mpa
-        kinds = [Balls.of(mesh), *(Balls.rods(mesh) if rods else ())]
-        return MatchedFilter(*_places(kinds), np.hstack([jacobian @ k.fractions for k in kinds]))
+        jacobian = problem.evaluate(np.full(mesh.n_tets, youngs_mpa)).jacobian()
+        kinds = [Balls.of(mesh)]
+        number: type[np.floating] = np.float64
+        if rods is not None:
+            kinds = [kinds[0].only(rods(kinds[0].centers)), *Balls.rods(mesh, rods)]
+            number = np.float32
+        turned = np.array(jacobian.T, dtype=number, order="C")
+        inside = sp.hstack([sp.csc_matrix(kind.fractions) for kind in kinds]).T.astype(number)
+        responses = np.asarray((inside.tocsr() @ turned).T) * number(youngs_mpa)
+        return MatchedFilter(*_places(kinds), responses)
 
     def whitened(self, data: DataModel) -> "MatchedFilter":
         """Return the responses of data with errors that they have in common."""
-        return replace(self, responses=data.whiten(self.responses))
-
-    def only(self, chosen: Bool[np.ndarray, " balls"]) -> "MatchedFilter":
-        """Return some of the balls and rods."""
-        return MatchedFilter(
-            self.centers[chosen], self.radii[chosen], self.halves[chosen], self.responses[:, chosen]
-        )
+        white = data.whiten(self.responses).astype(self.responses.dtype, copy=False)
+        return replace(self, responses=white)
 
     def best(
         self,
@@ -152,8 +169,9 @@ class MatchedFilter:
         """
         weights = np.broadcast_to(weights, residuals.shape)
         basis, _ = np.linalg.qr(weights[:, None] * explained)
-        responses = self.responses * weights[:, None]
-        responses -= basis @ (basis.T @ responses)
+        responses = self.responses * weights[:, None].astype(self.responses.dtype)
+        single = basis.astype(responses.dtype)
+        responses -= single @ (single.T @ responses)
         residuals = weights * residuals
         residuals = residuals - basis @ (basis.T @ residuals)
         squares = np.einsum("db,db->b", responses, responses) + 1e-12

@@ -85,8 +85,7 @@ class _Search:
         problem = self.presses.problem
         youngs = self._linear_mpa = problem.contact_mpa
         white = problem.with_data(self.presses.white)
-        matched = MatchedFilter.of(white, youngs, rods=True)
-        self.matched = matched.only(self.presses.are_resolved(matched.centers))
+        self.matched = MatchedFilter.of(white, youngs, self.presses.are_resolved)
         self._filters: dict[DataModel, MatchedFilter] = {}
         self.history: list[dict[str, Any]] = []
         prior = replace(ShapePrior.of(recording.mesh, youngs), outside_mm=_OUTSIDE_MM)
