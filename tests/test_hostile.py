@@ -522,7 +522,7 @@ def valid_vtk(suffix: str) -> Callable[[Path], Path]:
     def make(folder: Path) -> Path:
         pyvista = pytest.importorskip("pyvista")
         grid = pyvista.ImageData(dimensions=(3, 3, 3)).cast_to_unstructured_grid()
-        grid = grid.extract_surface() if suffix == ".vtp" else grid
+        grid = pyvista.Cube() if suffix == ".vtp" else grid
         grid["u"] = np.zeros((grid.n_points, 3))
         grid.save(folder / f"a{suffix}")
         return folder / f"a{suffix}"

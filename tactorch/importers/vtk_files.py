@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from tactorch.budget import check_memory
 from tactorch.errors import FileError
 from tactorch.files import require_file
 from tactorch.mesh.formats.cells import Cells
 from tactorch.mesh.formats.vtk import read_xml
-from tactorch.mesh.io import read_any, reading
+from tactorch.mesh.io import reading
 
 SUFFIXES = (".vtu", ".vtk", ".vtp")
+_EXPANSION = 8  # bytes of memory for each of a file, in meshio
 #: Names that a field may have, in lower case without other characters.
 NAMES = {
     "displacement": ("u", "disp", "displ", "displacement", "displacements", "displacementvector"),
@@ -91,7 +93,12 @@ def read_vtk(path: str | Path) -> VtkFile:
     source = require_file(path, "VTK file")
     suffix = source.suffix.lower()
     if suffix == ".vtk":
-        content = read_any(source, {".vtk": "vtk"})
+        import meshio
+
+        size = source.stat().st_size
+        check_memory(source, f"its content of {size / 1e6:.0f} MB", _EXPANSION * size)
+        with reading(source, "vtk"):
+            content = meshio.vtk.read(str(source))
         cells = [Cells(block.type, block.data.astype(np.int64)) for block in content.cells]
         points, fields, of_cells = content.points, content.point_data, content.cell_data
     else:

@@ -16,7 +16,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from tactorch.budget import check_memory
 from tactorch.errors import ConfigError, FileError, MeshError, TactorchError
 from tactorch.files import atomic_path, require_file
 from tactorch.mesh.checks import as_cells, as_points, listing, unreferenced
@@ -51,7 +50,6 @@ PLAUSIBLE_MM = (0.5, 5000.0)
 _SAME = 1e-6
 _MAX_DIAGONAL = 1e100  # whose square is a number
 _MAX_NEAR = 50  # pairs of close vertices for each vertex
-_MESHIO_EXPANSION = 8  # bytes of memory for each of a file
 
 
 def read_mesh(
@@ -229,22 +227,6 @@ def _format(path: str | Path, formats: Mapping[str, str]) -> str:
             f"'{path}' has the unknown suffix '{suffix}'; use one of {', '.join(formats)}."
         )
     return formats[suffix]
-
-
-def read_any(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
-    """Return the content of a file, with meshio's module for its suffix.
-
-    Raises:
-        FileError: The suffix is unknown, or the file is damaged or has no points.
-    """
-    name = _format(path, formats)
-    size = path.stat().st_size
-    check_memory(path, f"its content of {size / 1e6:.0f} MB", _MESHIO_EXPANSION * size)
-    with reading(path, name):
-        content: meshio.Mesh = importlib.import_module(f"meshio.{name}").read(str(path))
-    if not len(content.points):
-        raise FileError(f"'{path}' contains no points: it is empty, or not of the {name} format.")
-    return content
 
 
 def _read_vtu(path: Path) -> MeshFile:

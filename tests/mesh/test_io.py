@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, FileError, MeshError
+from tactorch.importers.vtk_files import read_vtk
 from tactorch.mesh import (
     Box,
     Cylinder,
@@ -16,7 +17,6 @@ from tactorch.mesh import (
     write_mesh,
     write_surface,
 )
-from tactorch.mesh.io import read_any
 
 MESHES = ["msh", "vtu", "inp"]
 SURFACES = ["stl", "obj", "ply"]
@@ -201,7 +201,7 @@ def test_a_reader_that_exits_is_caught(tmp_path: Path, monkeypatch: pytest.Monke
     (tmp_path / "object.vtk").write_text("# vtk")
     monkeypatch.setattr(meshio.vtk, "read", leave)
     with pytest.raises(FileError, match=r"object\.vtk' cannot be read as vtk: cannot go on"):
-        read_any(tmp_path / "object.vtk", {".vtk": "vtk"})
+        read_vtk(tmp_path / "object.vtk")
 
 
 @pytest.mark.parametrize("read", [read_mesh, read_surface])

@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 
 from tactorch.budget import Unpacking, read_content
 from tactorch.errors import FileError
-from tactorch.mesh.formats.cells import Cells
+from tactorch.mesh.formats.cells import SOLIDS, Cells
 from tactorch.mesh.formats.numbers import parse_numbers
 
 _EXPANSION, _COPIES = 6, 3  # bytes of memory for each of a file, and of unpacked content
@@ -38,7 +38,15 @@ _SHAPES = {
     "hexa": (16,), "polyhedron": (42,),
 }  # fmt: skip
 _SHAPE = {kind: shape for shape, kinds in _SHAPES.items() for kind in kinds}
-_CORNERS = {"line": 2, "triangle": 3, "quad": 4, "tetra": 4, "hexahedron": 8, "wedge": 6}
+_CORNERS = {
+    "line": 2,
+    "triangle": 3,
+    "quad": 4,
+    "tetra": 4,
+    "hexahedron": 8,
+    "wedge": 6,
+    "pyramid": 5,
+}
 _VOXEL, _AS_HEXAHEDRON = 11, [0, 1, 3, 2, 4, 5, 7, 6]
 
 
@@ -68,8 +76,8 @@ def read_xml(path: Path) -> VtkXml:
     """
     arrays = _Arrays(path)
     pieces = [arrays.of(piece) for piece in arrays.root.iter("Piece")]
-    parts = [next(iter(piece["Points"].values())).reshape(-1, 3) for piece in pieces]
-    points, firsts = np.concatenate(parts), np.cumsum([0, *map(len, parts)])
+    parts = [next(iter(p["Points"].values()), np.zeros(0)).reshape(-1, 3) for p in pieces]
+    points, firsts = np.concatenate([np.zeros((0, 3)), *parts]), np.cumsum([0, *map(len, parts)])
     same = np.arange(len(points))
     if len(parts) > 1:
         _, first, inverse = np.unique(points, axis=0, return_index=True, return_inverse=True)
@@ -94,6 +102,8 @@ def _cells(
     """Yield the cells of a piece, whose points have these numbers."""
     section = "Polys" if piece["Polys"] else "Cells"
     arrays = {name: values.ravel() for name, values in piece[section].items()}
+    if not arrays:
+        return
     ends = arrays["offsets"].astype(np.int64)
     nodes = arrays["connectivity"].astype(np.int64)
     widths = np.diff(ends, prepend=0)
@@ -119,6 +129,8 @@ def _named(kind: int, nodes: Int[np.ndarray, "m w"]) -> Cells:
     shape, width = _SHAPE.get(kind, f"cells of type {kind}"), nodes.shape[1]
     if shape == "polygon":
         shape = {3: "triangle", 4: "quad"}.get(width, shape)
+    if width < _CORNERS.get(shape, 0):
+        raise ValueError(f"its cells of type {kind} have {width} points")
     return Cells(shape if width == _CORNERS.get(shape, width) else f"{shape}{width}", nodes)
 
 
@@ -160,7 +172,7 @@ class _Arrays:
             return None
         text = (array.text or "").strip().encode()
         if (form := array.get("format", "ascii")) == "ascii":
-            values = parse_numbers(text).astype(kind)
+            values = (parse_numbers(text) if text else np.zeros(0)).astype(kind)
         else:
             content, encoded = memoryview(text), True
             if form == "appended":
@@ -189,6 +201,8 @@ class _Arrays:
             if encoded and content[-(-item // 3) * 4 - 1] != ord("="):  # encoded together
                 return bytes(part(0, item + size)[item:])
             return bytes(part(item, size))
+        if size > len(content):
+            raise ValueError("it states more compressed parts than it has")
         lengths = sizes(3 + size)[3:]
         packed, ends = part((3 + size) * item, sum(lengths)), np.cumsum([0, *lengths])
         return b"".join(self._unpack(packed[a:b]) for a, b in pairwise(ends))
