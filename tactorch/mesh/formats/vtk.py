@@ -38,15 +38,7 @@ _SHAPES = {
     "hexa": (16,), "polyhedron": (42,),
 }  # fmt: skip
 _SHAPE = {kind: shape for shape, kinds in _SHAPES.items() for kind in kinds}
-_CORNERS = {
-    "line": 2,
-    "triangle": 3,
-    "quad": 4,
-    "tetra": 4,
-    "hexahedron": 8,
-    "wedge": 6,
-    "pyramid": 5,
-}
+_CORNERS = {"line": 2, "triangle": 3, "quad": 4, **{name: n for name, (n, _) in SOLIDS.items()}}
 _VOXEL, _AS_HEXAHEDRON = 11, [0, 1, 3, 2, 4, 5, 7, 6]
 
 
