@@ -231,6 +231,25 @@ def nifti(side: int, *, voxels: bool = False, offset: float = 352.0, extension: 
     return make
 
 
+def nrrd(suffix: str, encoding: str, mib: int = OVER, sizes: str = "8 8 8") -> Any:
+    """Zeros after a header that states another size, or none that is true."""
+
+    def make(folder: Path) -> Path:
+        keys = {"nrrd": ("type: uchar\ndimension: 3\nsizes: {}\nspacings: 1 1 1\nencoding: {}\n\n"),
+                "mha": ("NDims = 3\nDimSize = {}\nElementSpacing = 1 1 1\nElementType = MET_UCHAR\n"
+                        "CompressedData = {}\nElementDataFile = LOCAL\n")}  # fmt: skip
+        stated = {"gzip": "True", "raw": "False"}.get(encoding) if suffix == "mha" else encoding
+        content = (b"NRRD0004\n" if suffix == "nrrd" else b"") + keys[suffix].format(
+            sizes, stated
+        ).encode()
+        data = b" 1" * (mib << 19) if encoding == "text" else ZEROS * mib
+        path = folder / f"a.{suffix}"
+        path.write_bytes(content + (zlib.compress(data) if encoding == "gzip" else data))
+        return path
+
+    return make
+
+
 def deflated_dicom(folder: Path) -> Path:
     pydicom = pytest.importorskip("pydicom")
     dataset = pydicom.Dataset()
@@ -432,6 +451,10 @@ ATTACKS: list[tuple[str, str, Callable[[Path], Path]]] = [
     ("volume", "extension", nifti(10, extension=2**31 - 8)),
     ("volume", "negative extension", nifti(10, extension=-(2**31))),
     ("volume", "expands (DICOM)", deflated_dicom),
+    ("volume", "expands (nrrd)", nrrd("nrrd", "gzip", sizes="9000 9000 9000")),
+    ("volume", "expands (mha)", nrrd("mha", "gzip", sizes="9000 9000 9000")),
+    ("volume", "longer than stated (nrrd)", nrrd("nrrd", "raw", 5 * OVER)),
+    ("volume", "long text (nrrd)", nrrd("nrrd", "text", OVER // 2)),
     ("recognizer", "expands", checkpoint("expands")),
     ("recognizer", "repeated number", checkpoint("repeated")),
     ("recognizer", "wide", checkpoint("hidden")),
@@ -468,8 +491,9 @@ ATTACKS: list[tuple[str, str, Callable[[Path], Path]]] = [
              + "\0" * 36, "a.ply"),
     ),
 ]  # fmt: skip
-#: Content that expands only where values that are the same are copied: read within the limits.
-SHARED = {("table", "long text in each row")}
+#: Files that are read within the limits: one copy is kept of what repeats, and what is beyond the
+#: stated size is not read.
+SHARED = {("table", "long text in each row"), ("volume", "longer than stated (nrrd)")}
 
 
 @pytest.mark.parametrize(
@@ -543,6 +567,17 @@ def valid_labels(suffix: str) -> Callable[[Path], Path]:
     return make
 
 
+def valid_volume(suffix: str) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        path = nrrd(suffix, "gzip", 0)(folder)
+        header = path.read_bytes()[: -len(zlib.compress(b""))]
+        labels = np.pad(np.ones((6, 6, 6), np.uint8), 1)
+        path.write_bytes(header + zlib.compress(labels.tobytes()))
+        return path
+
+    return make
+
+
 def valid_picture(suffix: str) -> Callable[[Path], Path]:
     def make(folder: Path) -> Path:
         from PIL import Image
@@ -599,6 +634,8 @@ VALID: list[tuple[str, Callable[[Path], Path]]] = [
     ("volume", valid_labels(".npz")),
     ("volume", valid_labels(".nii")),
     ("volume", valid_labels(".nii.gz")),
+    ("volume", valid_volume("nrrd")),
+    ("volume", valid_volume("mha")),
     *(("image", valid_picture(suffix)) for suffix in (".png", ".jpg", ".bmp", ".tif")),
     ("video", valid_video),
     ("bag", valid_bag(".mcap")),
