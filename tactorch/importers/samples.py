@@ -277,15 +277,24 @@ class _Strokes:
         centres = [rows.centres_mm[pressed] for pressed in self.pressed]
         self.origins, last = (np.array([c[i] for c in centres]) for i in (0, -1))
         self.travel = np.linalg.norm(last - self.origins, axis=1)
-        if rows.normals is None:
-            # Of the second half of the motion: the first may lead to the place.
-            normals = np.array([c[np.argmax(_lower_half(c))] - c[-1] for c in centres])
-            lengths = np.linalg.norm(normals, axis=1)
-            normals = normals / np.maximum(lengths, 1e-300)[:, None]
-            heights = ((self.origins - last) * normals).sum(axis=1)
-            self.origins, lengths = last + heights[:, None] * normals, np.ones(len(names))
         self.unit = np.abs(lengths - 1.0) < _UNIT
         self.normals = normals / np.maximum(lengths, 1e-300)[:, None]
+        if rows.normals is None:
+            self._take_motion(centres, last)
+
+    def _take_motion(
+        self, centres: list[Float[np.ndarray, "_ 3"]], last: Float[np.ndarray, "probes 3"]
+    ) -> None:
+        """Take the direction of the motion as the normal, and origins on it.
+
+        It is that of the second half of the motion: the first may lead to the place.
+        """
+        normals = np.array([c[np.argmax(_lower_half(c))] - c[-1] for c in centres])
+        lengths = np.linalg.norm(normals, axis=1)
+        self.normals = normals / np.maximum(lengths, 1e-300)[:, None]
+        heights = ((self.origins - last) * self.normals).sum(axis=1)
+        self.origins = last + heights[:, None] * self.normals
+        self.unit = np.ones(len(normals), dtype=bool)
 
     def _check_axis(self, path: Path) -> None:
         """Refuse rows whose forces rise in another direction than downwards."""
