@@ -189,7 +189,7 @@ class _PlainLine:
         if self._start - Silence.until < _PAUSE_S:
             brief = max(self.period_s - _BRIEF_S, 0.0)
             self._last = max(Silence.since, self._start - brief)
-        self._text, self._closed = "", threading.Event()
+        self._text, self._ended = "", threading.Event()
         threading.Thread(target=self._repeat, daemon=True).start()
 
     def show(self, text: str) -> None:
@@ -204,14 +204,14 @@ class _PlainLine:
             self._write(f"{self._text} ({now - self._start:.0f} s)")
 
     def close(self, seconds: float) -> None:
-        self._closed.set()
+        self._ended.set()
         Silence.end(self._last)
 
     def _write(self, line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
     def _repeat(self) -> None:
-        while not self._closed.wait(_TICK_S):
+        while not self._ended.wait(_TICK_S):
             self.write_when_due()
 
 

@@ -192,6 +192,23 @@ def test_a_computation_without_a_new_state_gives_signs_of_life(
     assert not capsys.readouterr().err
 
 
+def test_a_line_of_the_log_may_end_while_it_is_written(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A handler of logging has attributes of its own, which its `close` sets."""
+    faults: list[Any] = []
+    monkeypatch.setattr(threading, "excepthook", faults.append)
+    monkeypatch.setattr(progress._PlainLine, "period_s", 0.05)
+    monkeypatch.setattr(progress, "_TICK_S", 0.01)
+    monkeypatch.setattr(progress._LogLine, "_write", lambda line, text: line.close())
+    before = set(threading.enumerate())
+    progress._LogLine()
+    for thread in set(threading.enumerate()) - before:
+        thread.join(5.0)
+        assert not thread.is_alive()
+    assert not faults
+
+
 @pytest.fixture
 def notebook(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """A notebook whose output has the texts that were shown, the last one of each place."""
