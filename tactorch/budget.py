@@ -13,7 +13,7 @@ import io
 import math
 import os
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -197,6 +197,41 @@ def gunzip(path: Path, rest: float = 0.0) -> io.BytesIO:
             memory.write(piece)
     memory.seek(0)
     return memory
+
+
+class Unpacking:
+    """Unpacking of the compressed parts of a file, as far as all may be in memory.
+
+    Args:
+        path: The file.
+        copies: Copies of the content that exist at the same time.
+    """
+
+    def __init__(self, path: Path, copies: float) -> None:
+        self._path, self._copies, self._size = path, copies, 0
+
+    def part(self, make: Callable[[], Any], data: bytes | memoryview) -> bytearray:
+        """Return what a part contains.
+
+        Args:
+            make: Function that returns a decompressor, such as `zlib.decompressobj`.
+            data: The part.
+
+        Raises:
+            FileError: The parts so far are too large.
+            EOFError, zlib.error, lzma.LZMAError: It cannot be read.
+        """
+        unpacked, content = make(), bytearray()
+        while not unpacked.eof:
+            piece = unpacked.decompress(data, 1 << 20)
+            data = getattr(unpacked, "unconsumed_tail", b"")  # LZMA keeps what it has not consumed
+            if not piece and not data:
+                raise EOFError("a compressed part is incomplete")
+            self._size += len(piece)
+            claim = f"its unpacked content of {_size(self._size)} or more"
+            check_memory(self._path, claim, self._copies * self._size)
+            content += piece
+        return content
 
 
 def check_deflated(path: Path, file: BinaryIO) -> None:

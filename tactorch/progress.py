@@ -8,6 +8,7 @@ one that is not shown, are not shown.
 
 import html
 import logging
+import math
 import sys
 import threading
 import time
@@ -19,6 +20,7 @@ _log = logging.getLogger("tactorch")
 _BRIEF_S = 1.0  # computations that are not kept on the screen
 _PERIOD_S = 0.2  # between updates in a notebook
 _PLAIN_PERIOD_S = 8.0  # between lines that are kept
+_PAUSE_S = 5.0  # between computations that follow each other without a sign of life
 _TICK_S = 1.0
 
 Update: TypeAlias = Callable[[str], None]
@@ -166,6 +168,17 @@ class _TerminalLine:
         self._bar.stop()
 
 
+class Silence:
+    """Since when there was no sign of life, and until when there was a computation, s."""
+
+    since, until = 0.0, -math.inf
+
+    @classmethod
+    def end(cls, last_sign: float) -> None:
+        """Note the end of a computation and its last sign of life, of `time.monotonic`."""
+        cls.since, cls.until = last_sign, time.monotonic()
+
+
 class _PlainLine:
     """Lines with seconds between them, written by another thread: the state may not change."""
 
@@ -173,7 +186,10 @@ class _PlainLine:
 
     def __init__(self) -> None:
         self._start = self._last = time.monotonic()
-        self._text, self._closed = "", threading.Event()
+        if self._start - Silence.until < _PAUSE_S:
+            brief = max(self.period_s - _BRIEF_S, 0.0)
+            self._last = max(Silence.since, self._start - brief)
+        self._text, self._ended = "", threading.Event()
         threading.Thread(target=self._repeat, daemon=True).start()
 
     def show(self, text: str) -> None:
@@ -188,13 +204,14 @@ class _PlainLine:
             self._write(f"{self._text} ({now - self._start:.0f} s)")
 
     def close(self, seconds: float) -> None:
-        self._closed.set()
+        self._ended.set()
+        Silence.end(self._last)
 
     def _write(self, line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
     def _repeat(self) -> None:
-        while not self._closed.wait(_TICK_S):
+        while not self._ended.wait(_TICK_S):
             self.write_when_due()
 
 

@@ -5,6 +5,7 @@ Each is read in a process with limits of memory and time; see `hostile_readers`.
 
 import gzip
 import json
+import lzma
 import os
 import sqlite3
 import struct
@@ -12,6 +13,7 @@ import subprocess
 import sys
 import zipfile
 import zlib
+from base64 import b64encode
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -229,6 +231,25 @@ def nifti(side: int, *, voxels: bool = False, offset: float = 352.0, extension: 
     return make
 
 
+def nrrd(suffix: str, encoding: str, mib: int = OVER, sizes: str = "8 8 8") -> Any:
+    """Zeros after a header that states another size, or none that is true."""
+
+    def make(folder: Path) -> Path:
+        keys = {"nrrd": ("type: uchar\ndimension: 3\nsizes: {}\nspacings: 1 1 1\nencoding: {}\n\n"),
+                "mha": ("NDims = 3\nDimSize = {}\nElementSpacing = 1 1 1\nElementType = MET_UCHAR\n"
+                        "CompressedData = {}\nElementDataFile = LOCAL\n")}  # fmt: skip
+        stated = {"gzip": "True", "raw": "False"}.get(encoding) if suffix == "mha" else encoding
+        content = (b"NRRD0004\n" if suffix == "nrrd" else b"") + keys[suffix].format(
+            sizes, stated
+        ).encode()
+        data = b" 1" * (mib << 19) if encoding == "text" else ZEROS * mib
+        path = folder / f"a.{suffix}"
+        path.write_bytes(content + (zlib.compress(data) if encoding == "gzip" else data))
+        return path
+
+    return make
+
+
 def deflated_dicom(folder: Path) -> Path:
     pydicom = pytest.importorskip("pydicom")
     dataset = pydicom.Dataset()
@@ -344,12 +365,41 @@ PLY = (
 GMSH = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n{}\n$EndNodes\n"
 GENERATED = "*ELSET, ELSET=B, GENERATE\n1, 2000000000, 1\n"
 SPARSE = "4\n1 0 0 0\n2 1 0 0\n3 0 1 0\n2000000000 0 0 1"
+LEGACY = (
+    "# vtk DataFile Version 3.0\na\nASCII\nDATASET UNSTRUCTURED_GRID\n"
+    "POINTS 10000000000 double\n0 0 0\n"
+)
 VTU = (
     '<?xml version="1.0"?><VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian">'
     '<UnstructuredGrid><Piece NumberOfPoints="10000000000" NumberOfCells="1"><Points><DataArray '
     'type="Float64" NumberOfComponents="3" format="ascii">0 0 0</DataArray></Points></Piece>'
     "</UnstructuredGrid></VTKFile>"
 )
+
+
+def vtk(kind: str, name: str) -> Callable[[Path], Path]:
+    """A file whose points are compressed zeros, in several parts or with a small size stated."""
+
+    def make(folder: Path) -> Path:
+        pack = lzma.compress if "lzma" in kind else zlib.compress
+        parts = [pack(ZEROS * 8)] * (OVER // 8) if "parts" in kind else [pack(ZEROS * OVER)]
+        size = 72 if "small" in kind else len(ZEROS) * OVER // len(parts)
+        header = struct.pack(f"<{3 + len(parts)}Q", len(parts), size, size, *map(len, parts))
+        points = (b64encode(header) + b64encode(b"".join(parts))).decode()
+        grid, cells = ("PolyData", "Polys") if name.endswith("p") else ("UnstructuredGrid", "Cells")
+        array = '<DataArray type="{}" Name="{}" NumberOfComponents="{}" format="{}">{}</DataArray>'
+        rows = [("Int64", "connectivity", 1, "ascii", "0 1 2"), ("Int64", "offsets", 1, "ascii", 3),
+                ("Int64", "types", 1, "ascii", 5)]  # fmt: skip
+        compressor = "vtkLZMADataCompressor" if "lzma" in kind else "vtkZLibDataCompressor"
+        (folder / name).write_text(
+            f'<VTKFile type="{grid}" version="1.0" byte_order="LittleEndian" header_type="UInt64" '
+            f'compressor="{compressor}"><{grid}><Piece NumberOfPoints="10000000000"><Points>'
+            f"{array.format('Float64', 'Points', 3, 'binary', points)}</Points><{cells}>"
+            f"{''.join(array.format(*row) for row in rows)}</{cells}></Piece></{grid}></VTKFile>"
+        )
+        return folder / name
+
+    return make
 
 
 def stl(folder: Path) -> Path:
@@ -401,6 +451,10 @@ ATTACKS: list[tuple[str, str, Callable[[Path], Path]]] = [
     ("volume", "extension", nifti(10, extension=2**31 - 8)),
     ("volume", "negative extension", nifti(10, extension=-(2**31))),
     ("volume", "expands (DICOM)", deflated_dicom),
+    ("volume", "expands (nrrd)", nrrd("nrrd", "gzip", sizes="9000 9000 9000")),
+    ("volume", "expands (mha)", nrrd("mha", "gzip", sizes="9000 9000 9000")),
+    ("volume", "longer than stated (nrrd)", nrrd("nrrd", "raw", 5 * OVER)),
+    ("volume", "long text (nrrd)", nrrd("nrrd", "text", OVER // 2)),
     ("recognizer", "expands", checkpoint("expands")),
     ("recognizer", "repeated number", checkpoint("repeated")),
     ("recognizer", "wide", checkpoint("hidden")),
@@ -423,6 +477,12 @@ ATTACKS: list[tuple[str, str, Callable[[Path], Path]]] = [
     ("mesh", "includes a device", text(TETRAHEDRON + "*INCLUDE, INPUT=/dev/zero\n", "a.inp")),
     ("mesh", "includes itself", text(TETRAHEDRON + "*INCLUDE, INPUT=a.inp\n", "a.inp")),
     ("mesh", "declared (vtu)", text(VTU, "a.vtu")),
+    ("mesh", "expands (vtu)", vtk("zlib", "a.vtu")),
+    ("mesh", "expands in parts (vtu)", vtk("zlib parts", "a.vtu")),
+    ("vtk", "expands (lzma)", vtk("lzma", "a.vtu")),
+    ("vtk", "expands (vtp)", vtk("zlib", "a.vtp")),
+    ("vtk", "states less (vtp)", vtk("zlib small", "a.vtp")),
+    ("vtk", "declared (vtk)", text(LEGACY, "a.vtk")),
     ("surface", "triangles", stl),
     ("surface", "faces", text(PLY.format("ascii", "") + "0 0 0\n1 0 0\n0 1 0\n", "a.ply")),
     (
@@ -431,8 +491,9 @@ ATTACKS: list[tuple[str, str, Callable[[Path], Path]]] = [
              + "\0" * 36, "a.ply"),
     ),
 ]  # fmt: skip
-#: Content that expands only where values that are the same are copied: read within the limits.
-SHARED = {("table", "long text in each row")}
+#: Files that are read within the limits: one copy is kept of what repeats, and what is beyond the
+#: stated size is not read.
+SHARED = {("table", "long text in each row"), ("volume", "longer than stated (nrrd)")}
 
 
 @pytest.mark.parametrize(
@@ -479,6 +540,20 @@ def valid_mesh(suffix: str) -> Callable[[Path], Path]:
     return make
 
 
+def valid_vtk(suffix: str) -> Callable[[Path], Path]:
+    """A file with raw data, of which only the header is text."""
+
+    def make(folder: Path) -> Path:
+        pyvista = pytest.importorskip("pyvista")
+        grid = pyvista.ImageData(dimensions=(3, 3, 3)).cast_to_unstructured_grid()
+        grid = pyvista.Cube() if suffix == ".vtp" else grid
+        grid["u"] = np.zeros((grid.n_points, 3))
+        grid.save(folder / f"a{suffix}")
+        return folder / f"a{suffix}"
+
+    return make
+
+
 def valid_labels(suffix: str) -> Callable[[Path], Path]:
     def make(folder: Path) -> Path:
         labels, path = np.ones((6, 5, 4), np.uint8), folder / f"a{suffix}"
@@ -487,6 +562,17 @@ def valid_labels(suffix: str) -> Callable[[Path], Path]:
         else:
             nib = pytest.importorskip("nibabel")
             nib.save(nib.Nifti1Image(labels, np.eye(4)), path)
+        return path
+
+    return make
+
+
+def valid_volume(suffix: str) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        path = nrrd(suffix, "gzip", 0)(folder)
+        header = path.read_bytes()[: -len(zlib.compress(b""))]
+        labels = np.pad(np.ones((6, 6, 6), np.uint8), 1)
+        path.write_bytes(header + zlib.compress(labels.tobytes()))
         return path
 
     return make
@@ -548,6 +634,8 @@ VALID: list[tuple[str, Callable[[Path], Path]]] = [
     ("volume", valid_labels(".npz")),
     ("volume", valid_labels(".nii")),
     ("volume", valid_labels(".nii.gz")),
+    ("volume", valid_volume("nrrd")),
+    ("volume", valid_volume("mha")),
     *(("image", valid_picture(suffix)) for suffix in (".png", ".jpg", ".bmp", ".tif")),
     ("video", valid_video),
     ("bag", valid_bag(".mcap")),
@@ -555,7 +643,7 @@ VALID: list[tuple[str, Callable[[Path], Path]]] = [
     ("table", text("x,y\n1,2\n3,4.5\n", "a.csv")),
     *(("mesh", valid_mesh(suffix)) for suffix in (".msh", ".vtu", ".inp")),
     *(("surface", valid_mesh(suffix)) for suffix in (".stl", ".obj", ".ply")),
-    ("vtk", valid_mesh(".vtu")),
+    *(("vtk", valid_vtk(suffix)) for suffix in (".vtu", ".vtk", ".vtp")),
 ]
 QUICK, FULL = 10, 100
 

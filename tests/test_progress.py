@@ -120,6 +120,7 @@ class Clock:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
     monkeypatch.setattr(progress, "time", clock)
+    monkeypatch.setattr(progress.Silence, "until", -1e9)
     return clock
 
 
@@ -138,6 +139,25 @@ def test_a_script_without_a_terminal_gets_a_line_now_and_then(
         "inversion: iteration 16 (16 s)",
         "inversion: iteration 24 (24 s)",
     ]
+
+
+@pytest.mark.parametrize(("pause", "silent"), [(2.0, 1.0), (60.0, 8.0)])
+def test_computations_that_follow_each_other_are_not_silent_together(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    pause: float, silent: float,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(progress, "is_terminal", lambda _: False)
+    monkeypatch.setattr(progress._log, "isEnabledFor", lambda level: False)
+    with progress_line("meshing"):
+        clock.now += 7.0
+    clock.now += pause
+    with progress_line("inversion") as update:
+        clock.now += silent - 0.1
+        update("1")
+        assert not capsys.readouterr().err
+        clock.now += 0.2
+        update("2")
+    assert capsys.readouterr().err == f"inversion: 2 ({silent:.0f} s)\n"
 
 
 def test_where_messages_are_logged_silence_is_broken_in_the_log(
@@ -170,6 +190,23 @@ def test_a_computation_without_a_new_state_gives_signs_of_life(
     assert count >= 2
     time.sleep(0.2)
     assert not capsys.readouterr().err
+
+
+def test_a_line_of_the_log_may_end_while_it_is_written(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A handler of logging has attributes of its own, which its `close` sets."""
+    faults: list[Any] = []
+    monkeypatch.setattr(threading, "excepthook", faults.append)
+    monkeypatch.setattr(progress._PlainLine, "period_s", 0.05)
+    monkeypatch.setattr(progress, "_TICK_S", 0.01)
+    monkeypatch.setattr(progress._LogLine, "_write", lambda line, text: line.close())
+    before = set(threading.enumerate())
+    progress._LogLine()
+    for thread in set(threading.enumerate()) - before:
+        thread.join(5.0)
+        assert not thread.is_alive()
+    assert not faults
 
 
 @pytest.fixture

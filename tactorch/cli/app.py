@@ -121,7 +121,6 @@ class App:
         from hydra.core.hydra_config import HydraConfig
 
         self._started = True
-        STARTED.set()
         self._place = Path(HydraConfig.get().runtime.output_dir)
         failures = self._failures
         result = self._run(cfg)
@@ -143,6 +142,7 @@ class App:
             has_bar = console.is_rich(sys.stderr) and console.is_rich()
             lines = console.terminal_log(console.is_no_iteration) if has_bar else nullcontext()
             at_terminal = console.is_rich(sys.stderr)  # which shows parts of the command
+            STARTED.set()  # not before: the options of some commands take long imports
             whole = nullcontext() if at_terminal else progress_line(self.command)
             with _plain_warnings(), lines, whole:
                 return command_module(self.command).run(options)
@@ -154,6 +154,8 @@ class App:
             self._report(
                 f"out of memory ({error}); use a coarser mesh, fewer presses or optimizer=lbfgs."
             )
+        finally:
+            STARTED.set()
         return None
 
     def _report(self, message: str) -> None:

@@ -20,6 +20,7 @@ from tactorch.errors import ConfigError
 from tactorch.generation import Recipe, SampleSet, generate
 from tactorch.generation.recipe import LINEAR
 from tactorch.inverse import Settings
+from tactorch.progress import progress_line
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,17 +74,22 @@ def run(options: GenerateOptions) -> SampleSet:
     for index, reason in samples.manifest["failed"].items():
         log.info("sample %s failed: %s", index, reason)
     if options.card:
-        from tactorch.generation.card import PICTURE, TOUCH_PICTURE, card_samples, write_card
-        from tactorch.viz import save_figure
-        from tactorch.viz.learning import samples_figure, touch_figure
-
-        shown = card_samples(samples)
-        save_figure(samples_figure(shown), samples.folder / PICTURE)
-        if recipe.has_touch:
-            save_figure(touch_figure(shown), samples.folder / TOUCH_PICTURE)
-        log.info("data card: %s", write_card(samples))
+        with progress_line("data card"):
+            _write_card(samples, recipe)
     log.info("%d samples: %s", len(samples), out)
     return samples
+
+
+def _write_card(samples: SampleSet, recipe: Recipe) -> None:
+    from tactorch.generation.card import PICTURE, TOUCH_PICTURE, card_samples, write_card
+    from tactorch.viz import save_figure
+    from tactorch.viz.learning import samples_figure, touch_figure
+
+    shown = card_samples(samples)
+    save_figure(samples_figure(shown), samples.folder / PICTURE)
+    if recipe.has_touch:
+        save_figure(touch_figure(shown), samples.folder / TOUCH_PICTURE)
+    log.info("data card: %s", write_card(samples))
 
 
 def make_recipe(options: GenerateOptions) -> Recipe:

@@ -1,8 +1,11 @@
 """Lines until a command starts: its packages take seconds to import."""
 
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 from threading import Event, Thread
+
+from tactorch.progress import Silence
 
 #: Set when a command runs, and gives signs of life itself.
 STARTED = Event()
@@ -18,8 +21,9 @@ def show_starting(words: Sequence[str]) -> None:
 
 
 def _repeat(verb: str) -> None:
-    wait_s = _SOON_S
+    wait_s, last = _SOON_S, time.monotonic()
     while not STARTED.wait(wait_s):
         with suppress(OSError, ValueError):  # no one reads it
             print(f"tactorch {verb}: working ...", flush=True)
-        wait_s = _PERIOD_S
+        wait_s, last = _PERIOD_S, time.monotonic()
+    Silence.end(last)

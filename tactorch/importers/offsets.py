@@ -84,25 +84,36 @@ def pool_offsets(
         if rest < (1.0 - _OF_DRIFT) * spread and abs(drift[1]) > _DRIFT * np.sqrt(slope[1, 1]):
             basis, trend, spread, errors = line, drift, rest, slope
     expected = basis @ trend
-    if spread > 0.0 or len(trend) > 1:
-        _log.warning(
-            "'%s': the force in air differs between probes by more than its noise, with a standard "
-            "deviation of %.2g N%s. The offset of each probe is that of its samples in air.",
-            source, np.std(means[known]),
-            f": it drifts by {trend[1]:.2g} N from the first probe to the last"
-            if len(trend) > 1 else "",
-        )  # fmt: skip
-    if not known.all():
-        named = ", ".join(f"'{name}'" for name in samples.names[~known][:NAMED])
-        (_log.warning if spread > 0.0 else _log.info)(
-            "'%s': the offset of %d probes without enough samples in air is taken from the "
-            "others, with a standard deviation of %.2g N: %s.",
-            source, (~known).sum(), np.sqrt(spread), named,
-        )  # fmt: skip
+    _report(samples.names[~known], float(np.std(means[known])), trend, spread, source)
     share = np.where(known, spread / np.maximum(spread + variance, 1e-300), 0.0)
     common = np.einsum("pi,ij,pj->p", basis, errors, basis) * (1.0 - share) ** 2
     deviations = np.sqrt(np.where(known, share * variance, spread) + common)
     return Offsets(expected + share * (means - expected), deviations, int((clear * 1).sum()))
+
+
+def _report(
+    others: np.ndarray,
+    deviation_n: float,
+    trend: Float[np.ndarray, " b"],
+    spread: float,
+    source: str,
+) -> None:
+    """Report offsets that differ, and probes that have those of others."""
+    if spread > 0.0 or len(trend) > 1:
+        _log.warning(
+            "'%s': the force in air differs between probes by more than its noise, with a standard "
+            "deviation of %.2g N%s. The offset of each probe is that of its samples in air.",
+            source, deviation_n,
+            f": it drifts by {trend[1]:.2g} N from the first probe to the last"
+            if len(trend) > 1 else "",
+        )  # fmt: skip
+    if len(others):
+        named = ", ".join(f"'{name}'" for name in others[:NAMED])
+        (_log.warning if spread > 0.0 else _log.info)(
+            "'%s': the offset of %d probes without enough samples in air is taken from the "
+            "others, with a standard deviation of %.2g N: %s.",
+            source, len(others), np.sqrt(spread), named,
+        )  # fmt: skip
 
 
 def _fit(

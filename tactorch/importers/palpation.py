@@ -24,6 +24,7 @@ robot and has to be stated.
 import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -34,7 +35,12 @@ from tactorch.config import Options, option
 from tactorch.errors import FileError, MeshError
 from tactorch.fem.contact import Ball
 from tactorch.importers.contacts import Contacts, find_contacts, hysteresis, unevenness
-from tactorch.importers.magnitudes import check_contacts, check_rows
+from tactorch.importers.magnitudes import (
+    Remedy,
+    check_contacts,
+    check_rows,
+    check_surface,
+)
 from tactorch.importers.samples import Rows, Samples, make_samples, read_rows
 from tactorch.mesh import TetMesh, read_mesh
 from tactorch.mesh.block import HeightField, block_below
@@ -43,6 +49,7 @@ from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Rec
 
 _log = logging.getLogger(__name__)
 _MIN_LOST = 0.05  # share of the work that is not given back, from which a message states it
+_DEEP = 0.5  # depth of a ball over that of the object there, from which a message states it
 _OTHER_CONTACT = 0.5  # distance of contacts from those of the file, over the ball's radius
 
 
@@ -89,38 +96,15 @@ class PalpationSettings(Options):
         """Return the recording of the rows of a file: contacts, object and presses."""
         total, turn = len(rows.labels), self._turn()
         rows = rows.finite().turned(turn, -1.0 if self.reverse_force else 1.0)
-        if len(rows.labels) < total:
+        if without := total - len(rows.labels):
             _log.warning(
-                "'%s': %d rows without a number in every column are left out.",
-                path, total - len(rows.labels),
-            )  # fmt: skip
-
-        def remedy(what: str, unit: str) -> str:
-            return self._state_unit(what, unit, rows)
-
-        if self.check_units:
-            check_rows(str(path), rows, remedy)
-        samples = make_samples(Path(path), rows, self.radius_mm)
-        samples, contacts = find_contacts(samples, self.noise_n, str(path))
-        deepest = self._check(samples, contacts, rows, str(path))
-        if self.check_units:
-            modulus = float(np.median(contacts.plane_mpa)) * (1.0 - self.poisson**2)
-            check_contacts(str(path), float(np.median(deepest)), samples.radius_mm, modulus, remedy)
+                "'%s': %d rows without a number in every column are left out.", path, without
+            )
+        remedy = partial(self._state_unit, rows=rows)
+        samples, contacts = self._contacts(rows, Path(path), remedy)
         lost = hysteresis(samples)
         samples = samples.reduced(self.depths, -contacts.depth_mm)
-        used = int(samples.count.sum())
-        left = {"without a number": total - len(rows.labels), **samples.left_out}
-        left = {reason: count for reason, count in left.items() if count}
-        _log.info(
-            "'%s': %d of %d rows are used, of %d probes. Left out: %s.", path, used, total,
-            len(samples.names), ", ".join(f"{n} {reason}" for reason, n in left.items()) or "none",
-        )  # fmt: skip
-        if lost is not None:
-            (_log.warning if lost > _MIN_LOST else _log.info)(
-                "'%s': balls are lifted in the rows, too. The rows while they are pressed in are "
-                "used; lifting gives back %.0f %% less work (hysteresis).", path, 100.0 * lost,
-            )  # fmt: skip
-        mesh, fixed, above_mm = self._body(samples, contacts)
+        mesh, fixed, above_mm = self._body(samples, contacts, str(path), remedy)
         mesh = TetMesh(mesh.points @ turn, mesh.tets, mesh.regions)
         provenance = {
             "importer": "palpation", "file": Path(path).name, "ball_radius_mm": samples.radius_mm,
@@ -128,14 +112,34 @@ class PalpationSettings(Options):
             "tare_n": float(np.median(contacts.offsets.force_n)),
             "tare_deviation_n": float(np.std(contacts.offsets.force_n)),
             "samples_clear_of_the_surface": contacts.offsets.clear, "depth_mm": self.depth_mm,
-            "block": self.mesh is None, "rows": total, "rows_used": used, "rows_left_out": left,
-            "hysteresis": lost,
+            "block": self.mesh is None, "hysteresis": lost,
+            **_count_rows(samples, total, without, str(path)),
         }  # fmt: skip
+        if lost is not None:
+            (_log.warning if lost > _MIN_LOST else _log.info)(
+                "'%s': balls are lifted in the rows, too. The rows while they are pressed in are "
+                "used; lifting gives back %.0f %% less work (hysteresis).", path, 100.0 * lost,
+            )  # fmt: skip
         return Recording(
             mesh, tuple(self._presses(samples, contacts, frozen(fixed), above_mm, turn)),
             MaterialSpec("linear", self.poisson), provenance=provenance,
             check_units=self.check_units,
         )  # fmt: skip
+
+    def _contacts(self, rows: Rows, path: Path, remedy: Remedy) -> tuple[Samples, Contacts]:
+        """Return the samples in contact and the contacts; refuse implausible ones."""
+        if self.check_units:
+            check_rows(str(path), rows, self.radius_mm, remedy)
+        samples = make_samples(path, rows, self.radius_mm)
+        samples, contacts = find_contacts(samples, self.noise_n, str(path))
+        deepest = self._check(samples, contacts, rows, str(path))
+        if self.check_units:
+            modulus = float(np.median(contacts.plane_mpa)) * (1.0 - self.poisson**2)
+            check_contacts(
+                str(path), contacts.points_mm, float(np.median(deepest)), samples.radius_mm,
+                modulus, remedy,
+            )  # fmt: skip
+        return samples, contacts
 
     def _state_unit(self, what: str, unit: str, rows: Rows) -> str:
         """Return how a unit of "force" or "position" is stated, for messages."""
@@ -162,6 +166,13 @@ class PalpationSettings(Options):
                 f"{deepest[below.argmax()]:.3g} mm, more than the object is deep; give the depth of"
                 f" its bottom in mm (format.depth_mm={self.depth_mm:g})."
             )
+        shares = deepest / (deepest - below)
+        if self.mesh is None and shares.max() > _DEEP:
+            _log.warning(
+                "'%s': probe '%s' is pressed in by %.0f %% of the depth of the object, where "
+                "forces of small strains are wrong; check format.depth_mm=%g.",
+                source, samples.names[shares.argmax()], 100.0 * shares.max(), self.depth_mm,
+            )  # fmt: skip
         if self.radius_mm is None and rows.contacts_mm is not None:
             labels = {label: i for i, label in enumerate(rows.labels.tolist())}
             known = [labels.get(name, labels[name.split(" (")[0]]) for name in samples.names]
@@ -175,12 +186,15 @@ class PalpationSettings(Options):
         return deepest
 
     def _body(
-        self, samples: Samples, contacts: Contacts
+        self, samples: Samples, contacts: Contacts, source: str, remedy: Remedy
     ) -> tuple[TetMesh, Bool[np.ndarray, "n 3"], Float[np.ndarray, " probes"]]:
         """Return the object, its supports, and the heights of the contacts below its surface."""
         if self.mesh is not None:
             mesh = read_mesh(self.mesh, unit="mm")
             mesh = TetMesh(mesh.points @ self._turn().T, mesh.tets, mesh.regions)
+            if self.check_units:
+                lift = samples.radius_mm * samples.normals
+                check_surface(source, mesh, contacts.points_mm, lift, remedy)
             low, high = mesh.bounds
             held = mesh.points[:, 2] < low[2] + 1e-3 * (high - low)[2]
             return mesh, np.repeat(held[:, None], 3, axis=1), np.zeros(len(contacts.points_mm))
@@ -276,6 +290,18 @@ def import_palpation(path: str | Path, **options: Any) -> Recording:
         RecordingError: the file does not make a valid recording.
     """
     return PalpationOptions(**options)(path=path)
+
+
+def _count_rows(samples: Samples, total: int, without: int, source: str) -> dict[str, Any]:
+    """Report the numbers of rows that are used and left out, and return them."""
+    used = int(samples.count.sum())
+    left = {"without a number": without, **samples.left_out}
+    left = {reason: count for reason, count in left.items() if count}
+    _log.info(
+        "'%s': %d of %d rows are used, of %d probes. Left out: %s.", source, used, total,
+        len(samples.names), ", ".join(f"{n} {reason}" for reason, n in left.items()) or "none",
+    )  # fmt: skip
+    return {"rows": total, "rows_used": used, "rows_left_out": left}
 
 
 def _rotation(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from tactorch.errors import ConfigError, FileError
 from tactorch.importers.quantities import PALPATION_UNITS, assign, clean
 from tactorch.importers.sheets import Sheet, read_sheet
-from tactorch.importers.strokes import find_places, find_stroke, lost_work
+from tactorch.importers.strokes import find_mixed, find_places, find_stroke, lost_work
 
 _log = logging.getLogger(__name__)
 _AXES = "xyz"
@@ -277,15 +277,24 @@ class _Strokes:
         centres = [rows.centres_mm[pressed] for pressed in self.pressed]
         self.origins, last = (np.array([c[i] for c in centres]) for i in (0, -1))
         self.travel = np.linalg.norm(last - self.origins, axis=1)
-        if rows.normals is None:
-            # Of the second half of the motion: the first may lead to the place.
-            normals = np.array([c[np.argmax(_lower_half(c))] - c[-1] for c in centres])
-            lengths = np.linalg.norm(normals, axis=1)
-            normals = normals / np.maximum(lengths, 1e-300)[:, None]
-            heights = ((self.origins - last) * normals).sum(axis=1)
-            self.origins, lengths = last + heights[:, None] * normals, np.ones(len(names))
         self.unit = np.abs(lengths - 1.0) < _UNIT
         self.normals = normals / np.maximum(lengths, 1e-300)[:, None]
+        if rows.normals is None:
+            self._take_motion(centres, last)
+
+    def _take_motion(
+        self, centres: list[Float[np.ndarray, "_ 3"]], last: Float[np.ndarray, "probes 3"]
+    ) -> None:
+        """Take the direction of the motion as the normal, and origins on it.
+
+        It is that of the second half of the motion: the first may lead to the place.
+        """
+        normals = np.array([c[np.argmax(_lower_half(c))] - c[-1] for c in centres])
+        lengths = np.linalg.norm(normals, axis=1)
+        self.normals = normals / np.maximum(lengths, 1e-300)[:, None]
+        heights = ((self.origins - last) * self.normals).sum(axis=1)
+        self.origins = last + heights[:, None] * self.normals
+        self.unit = np.ones(len(normals), dtype=bool)
 
     def _check_axis(self, path: Path) -> None:
         """Refuse rows whose forces rise in another direction than downwards."""
@@ -349,14 +358,24 @@ class _Strokes:
             usable &= ~faulty
         if not usable.any():
             raise _wrong_axis(path, np.median(self.normals, axis=0))
-        unordered = ~np.array([stroke.ordered for stroke in self.strokes])
-        if (usable & unordered).any():
-            _log.warning(
-                "'%s': the rows of %d probes are in no order of time, and are taken by their depth;"
-                " rows of a ball that is lifted cannot be left out. Give a column 'time_s'.",
-                path, (usable & unordered).sum(),
-            )  # fmt: skip
+        unordered = usable & ~np.array([stroke.ordered for stroke in self.strokes])
+        if unordered.any():
+            self._check_order(path, np.flatnonzero(unordered))
         return usable
+
+    def _check_order(self, path: Path, probes: Int[np.ndarray, " k"]) -> None:
+        """Report probes whose rows are sorted by their depth; refuse those with two branches."""
+        share = find_mixed([self._branch(k, self.pressed[k]) for k in probes])
+        if share:
+            raise FileError(
+                f"'{path}': the rows of {len(probes)} probes are in no order of time, and their "
+                f"forces at one depth differ by about {100.0 * share:.0f} %: rows of a ball that is"
+                " lifted are among them. Give a column 'time_s', or leave these rows out."
+            )
+        _log.warning(
+            "'%s': the rows of %d probes are in no order of time, and are taken by their depth. "
+            "Give a column 'time_s' if the ball is lifted in some of them.", path, len(probes),
+        )  # fmt: skip
 
 
 def _lower_half(centres: Float[np.ndarray, "p 3"]) -> Bool[np.ndarray, " p"]:

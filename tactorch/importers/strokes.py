@@ -1,5 +1,6 @@
 """Rows of a palpation: which are at one place, and in which of them the ball is pressed in."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.spatial import cKDTree
 _GRID = 0.25  # to which places are rounded, over the distance at which they are apart
 _ASIDE = 0.2  # motion aside over motion along, up to which rows are of the approach
 _JITTER, _MAX_STILL = 5.0, 20.0  # motion that is none, over the noise of positions, at most
+_THIRD, _SCATTER, _MIN_SHARE = 3, 2.0, 0.08  # see `find_mixed`
 _TURNS, _MIN_TURNS = 0.3, 4  # reversals of unordered rows, over their moves, and their number
 
 
@@ -97,6 +99,34 @@ def _begin(
     aside = np.linalg.norm(before - along[:, None] * (push / length), axis=1)
     off = np.flatnonzero(aside > _ASIDE * np.abs(along) + still_mm)
     return int(off[-1]) + 1 if len(off) else 0
+
+
+def find_mixed(probes: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
+    """Return the scatter of large forces at equal depth, over them; 0 where it is that of small.
+
+    Forces of two branches scatter in proportion to themselves, those of one by the noise.
+
+    Args:
+        probes: Advances (mm) and forces (N) of the rows of each probe.
+    """
+    scatter, level = [np.zeros(0)], [np.zeros(0)]
+    for advance, force in probes:
+        order = np.argsort(advance, kind="stable")
+        d, f = advance[order], force[order]
+        share = (d[1:-1] - d[:-2]) / np.maximum(d[2:] - d[:-2], 1e-300)
+        # A row between two others, from the line through them.
+        scatter.append(
+            (f[1:-1] - (1.0 - share) * f[:-2] - share * f[2:])
+            / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
+        )
+        level.append(f[1:-1])
+    order = np.argsort(np.concatenate(level))
+    forces, squares = np.concatenate(level)[order], np.concatenate(scatter)[order] ** 2
+    if (count := len(order) // _THIRD) < _THIRD:
+        return 0.0
+    small, large = (float(np.sqrt(np.mean(part))) for part in (squares[:count], squares[-count:]))
+    over = large / max(float(np.median(forces[-count:])), 1e-300)
+    return over if large > _SCATTER * small and over > _MIN_SHARE else 0.0
 
 
 def lost_work(

@@ -159,7 +159,7 @@ def import_vtk(path: str | Path, **options: Any) -> Recording:
         A recording with a press for each file, named by it.
 
     Raises:
-        ConfigError: A setting is not valid, or .vtp is read without vtk.
+        ConfigError: A setting is not valid.
         FileError: A file cannot be used; names file, field or point, and remedy.
         MeshError: The mesh cannot be used.
         RecordingError: The files do not make a valid recording.

@@ -1,19 +1,22 @@
-"""Points, triangles and fields of VTK files (.vtu and .vtk through meshio, .vtp through vtk)."""
+"""Points, triangles and fields of VTK files (.vtu, .vtk and .vtp)."""
 
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from tactorch.errors import ConfigError, FileError
+from tactorch.budget import check_memory
+from tactorch.errors import FileError
 from tactorch.files import require_file
-from tactorch.mesh.io import read_any
+from tactorch.mesh.formats.cells import Cells
+from tactorch.mesh.formats.vtk import read_xml
+from tactorch.mesh.io import reading
 
 SUFFIXES = (".vtu", ".vtk", ".vtp")
+_EXPANSION = 8  # bytes of memory for each of a file, in meshio
 #: Names that a field may have, in lower case without other characters.
 NAMES = {
     "displacement": ("u", "disp", "displ", "displacement", "displacements", "displacementvector"),
@@ -88,43 +91,30 @@ class VtkFile:
 def read_vtk(path: str | Path) -> VtkFile:
     """Read a file."""
     source = require_file(path, "VTK file")
-    if source.suffix.lower() == ".vtp":
-        return _read_vtp(source)
-    content = read_any(source, {".vtu": "vtu", ".vtk": "vtk"})
+    suffix = source.suffix.lower()
+    if suffix == ".vtk":
+        import meshio
+
+        size = source.stat().st_size
+        check_memory(source, f"its content of {size / 1e6:.0f} MB", _EXPANSION * size)
+        with reading(source, "vtk"):
+            content = meshio.vtk.read(str(source))
+        cells = [Cells(block.type, block.data.astype(np.int64)) for block in content.cells]
+        points, fields, of_cells = content.points, content.point_data, content.cell_data
+    else:
+        with reading(source, suffix[1:]):
+            xml = read_xml(source)
+        points, cells, fields, of_cells = xml.points, xml.cells, xml.fields, xml.cell_fields
+    if not len(points):
+        raise FileError(f"'{source}' contains no points: it is empty, or not of the format.")
     tets, three, four = (
-        content.get_cells_type(kind).astype(np.int64).reshape(-1, corners)
-        for kind, corners in (("tetra", 4), ("triangle", 3), ("quad", 4))
+        np.concatenate([np.zeros((0, n), np.int64), *(c.nodes for c in cells if c.kind == kind)])
+        for kind, n in (("tetra", 4), ("triangle", 3), ("quad", 4))
     )
     triangles = np.vstack((three, _halves(four)))
-    fields, cells = dict(content.point_data), tuple(content.cell_data)
-    return VtkFile(source, content.points, tets, triangles, fields, cells)
+    return VtkFile(source, points, tets, triangles, dict(fields), tuple(of_cells))
 
 
 def _halves(quads: Int[np.ndarray, "q 4"]) -> Int[np.ndarray, "h 3"]:
     """Return quadrangles as triangles."""
     return quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-
-
-def _read_vtp(source: Path) -> VtkFile:
-    try:
-        import pyvista
-        from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
-    except ImportError as error:
-        raise ConfigError(
-            f"'{source}' needs vtk: pip install 'tactorch[vtk]', or save it as .vtu."
-        ) from error
-    faults: list[bool] = []
-    reader: Any = vtkXMLPolyDataReader()
-    reader.AddObserver("ErrorEvent", lambda *_: faults.append(True))
-    reader.SetFileName(str(source))
-    reader.Update()
-    data = pyvista.wrap(reader.GetOutput())
-    if faults or not data.n_points:
-        raise FileError(f"'{source}' cannot be read as VTP, or has no points; is it complete?")
-    three, four = (
-        np.array([f for f in data.irregular_faces if len(f) == n], np.int64).reshape(-1, n)
-        for n in (3, 4)
-    )
-    triangles, no_tets = np.vstack((three, _halves(four))), np.zeros((0, 4), np.int64)
-    fields, cells = dict(data.point_data), tuple(data.cell_data)
-    return VtkFile(source, data.points, no_tets, triangles, fields, cells)

@@ -4,7 +4,6 @@ import contextlib
 import importlib
 import io
 import logging
-import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -17,14 +16,14 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from tactorch.budget import check_memory
 from tactorch.errors import ConfigError, FileError, MeshError, TactorchError
 from tactorch.files import atomic_path, require_file
 from tactorch.mesh.checks import as_cells, as_points, listing, unreferenced
 from tactorch.mesh.formats.abaqus import read_abaqus
-from tactorch.mesh.formats.cells import AS_TETS, SOLIDS, MeshFile, as_solid, as_tets
+from tactorch.mesh.formats.cells import SOLIDS, MeshFile, as_tets
 from tactorch.mesh.formats.gmsh import read_gmsh
 from tactorch.mesh.formats.surfaces import Polygons, read_obj, read_ply, read_stl, triangulated
+from tactorch.mesh.formats.vtk import read_xml
 from tactorch.mesh.geometry import bounding_diagonal
 from tactorch.mesh.tetmesh import TetMesh, compact
 from tactorch.mesh.values import Points, Rows, Triangles
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
     import meshio
 
 _log = logging.getLogger(__name__)
-# meshio's modules by file suffix, which write all formats and read .vtu. Its own dispatcher guesses
+# meshio's modules by file suffix, which write all formats. Its own dispatcher guesses
 # ANSYS for .msh and ends the process on a damaged file, so the modules are called directly.
 _MESH_FORMATS = {".msh": "gmsh", ".vtu": "vtu", ".inp": "abaqus"}
 _SURFACE_FORMATS = {".stl": "stl", ".obj": "obj", ".ply": "ply"}
@@ -51,8 +50,6 @@ PLAUSIBLE_MM = (0.5, 5000.0)
 _SAME = 1e-6
 _MAX_DIAGONAL = 1e100  # whose square is a number
 _MAX_NEAR = 50  # pairs of close vertices for each vertex
-_HEAD = 1000  # bytes in which a file of VTK names its compression
-_MESHIO_EXPANSION = 8  # bytes of memory for each of a file
 
 
 def read_mesh(
@@ -84,7 +81,7 @@ def read_mesh(
     scale, source = _mm_per(unit), require_file(path, "Mesh")
     name = _format(source, _MESH_FORMATS)
     with naming(source):
-        with _meshio(f"'{source}' cannot be read as {name}", _HINT):
+        with reading(source, name):
             content = _MESH_READERS[name](source)
         if not len(content.points):
             raise FileError(f"'{source}' has no points: it is empty, or not of the {name} format.")
@@ -156,7 +153,7 @@ def read_surface(path: str | Path, unit: str = "mm") -> tuple[Points, Triangles]
     scale, source = _mm_per(unit), require_file(path, "Surface")
     name = _format(source, _SURFACE_FORMATS)
     with naming(source):
-        with _meshio(f"'{source}' cannot be read as {name}", _HINT):
+        with reading(source, name):
             points, polygons = _SURFACE_READERS[name](source)
         vertices = as_points(points, "vertices")
         if not polygons:
@@ -232,41 +229,18 @@ def _format(path: str | Path, formats: Mapping[str, str]) -> str:
     return formats[suffix]
 
 
-def read_any(path: Path, formats: Mapping[str, str]) -> "meshio.Mesh":
-    """Return the content of a file, with meshio's module for its suffix.
-
-    Raises:
-        FileError: The suffix is unknown, or the file is damaged or has no points.
-    """
-    name = _format(path, formats)
-    size = path.stat().st_size
-    check_memory(path, f"its content of {size / 1e6:.0f} MB", _MESHIO_EXPANSION * size)
-    with _meshio(f"'{path}' cannot be read as {name}", _HINT) as output:
-        content: meshio.Mesh = importlib.import_module(f"meshio.{name}").read(str(path))
-        if re.search(r"cannot handle \(type 11\)", output.getvalue()):
-            raise FileError(f"'{path}' has voxels. {AS_TETS}")
-    if not len(content.points):
-        raise FileError(f"'{path}' contains no points: it is empty, or not of the {name} format.")
-    return content
-
-
 def _read_vtu(path: Path) -> MeshFile:
     """Read a file of VTK."""
-    with path.open("rb") as file:
-        if b"vtkLZ4DataCompressor" in file.read(_HEAD):
-            raise FileError(f"'{path}' is compressed by LZ4; save it with zlib, or uncompressed.")
-    content = read_any(path, _MESH_FORMATS)
-    cells = [as_solid(block.type, block.data.astype(np.int64)) for block in content.cells]
-    fields = {key.lower().replace("_", "").replace(" ", ""): key for key in content.cell_data}
+    content = read_xml(path)
+    fields = {key.lower().replace("_", "").replace(" ", ""): key for key in content.cell_fields}
+    solid = np.repeat(
+        [c.shape in SOLIDS for c in content.cells], [len(c.nodes) for c in content.cells]
+    )
     for name in _REGIONS:
-        key = fields.get(name)
-        values = [] if key is None else content.cell_data[key]
-        if values and all(
-            np.size(part) == len(c.nodes) for c, part in zip(cells, values, strict=True)
-        ):
-            solid = [np.ravel(v) for c, v in zip(cells, values, strict=True) if c.shape in SOLIDS]
-            return MeshFile(content.points, cells, np.concatenate(solid) if solid else None)
-    return MeshFile(content.points, cells)
+        values = content.cell_fields[fields[name]] if name in fields else None
+        if values is not None and values.size == len(solid):
+            return MeshFile(content.points, content.cells, np.ravel(values)[solid])
+    return MeshFile(content.points, content.cells)
 
 
 _MESH_READERS: dict[str, Callable[[Path], MeshFile]] = {
@@ -286,6 +260,11 @@ def _write(path: str | Path, formats: Mapping[str, str], content: "meshio.Mesh")
         writer.write(str(temporary), content, **options)
 
 
+def reading(path: Path, name: str) -> contextlib.AbstractContextManager[io.StringIO]:
+    """Turn failures of a reader of a format into `FileError`; see `_meshio`."""
+    return _meshio(f"'{path}' cannot be read as {name}", _HINT)
+
+
 @contextlib.contextmanager
 def _meshio(failure: str, hint: str = "") -> Iterator[io.StringIO]:
     """Silence a reader or writer and turn its failures into `FileError`.
@@ -303,6 +282,8 @@ def _meshio(failure: str, hint: str = "") -> Iterator[io.StringIO]:
             yield output
     except TactorchError:
         raise
+    except MemoryError as error:
+        raise FileError(f"{failure}: it states more than the memory can hold.{hint}") from error
     except (Exception, SystemExit) as error:
         reason = " ".join(f"{output.getvalue()} {error}".split()) or type(error).__name__
         raise FileError(f"{failure}: {reason}.{hint}") from error

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.budget import DEFLATE, check_memory, check_stored
+from tactorch.budget import DEFLATE, TEXT, check_memory, check_stored
 from tactorch.errors import FileError
 
 _log = logging.getLogger(__name__)
@@ -114,7 +114,11 @@ def _data(source: Path, fields: _Fields, start: int) -> np.ndarray:
     if not encoding.startswith("bz"):
         check_stored(path, claim, count * least)
     size = count * dtype.itemsize
-    content = _content(path, fields, start if path == source else 0, size)
+    longest = 2 * size + _HEADER_BYTES if encoding in _PACKED else size
+    if text:
+        longest = path.stat().st_size
+        check_memory(path, f"its text of {longest / 1e6:.0f} MB", TEXT * longest)
+    content = _content(path, fields, start if path == source else 0, longest)
     if text:
         values = np.array(content.split()[:count], dtype=np.float64)
     else:
@@ -135,16 +139,17 @@ def _data_path(source: Path, fields: _Fields) -> Path:
     return path
 
 
-def _content(path: Path, fields: _Fields, start: int, size: int) -> bytes:
-    """Read the data, without lines and bytes that the header says to skip."""
+def _content(path: Path, fields: _Fields, start: int, longest: int) -> bytes:
+    """Read the data up to a length, without lines and bytes that the header says to skip."""
     with path.open("rb") as file:
         file.seek(start)
         for _ in range(int(_first(fields, "lineskip") or 0)):
-            if not file.readline():
+            if not file.readline(_HEADER_BYTES):
                 break
         skipped = int(_first(fields, "byteskip", "headersize") or 0)
-        content = file.read()
-    return content[skipped:] if skipped >= 0 else content[-size:]
+        last = max(path.stat().st_size - longest, 0)
+        file.seek(file.tell() + skipped if skipped >= 0 else last)
+        return file.read(longest)
 
 
 def _unpacked(content: bytes, encoding: str, size: int) -> bytes:

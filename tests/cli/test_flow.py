@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tactorch.cli import app
+from tactorch.cli.starting import STARTED
+from tactorch.errors import ConfigError
 from tactorch.inverse import Reconstruction
 from tactorch.recording import Recording
 
@@ -274,3 +277,19 @@ def test_a_new_inversion_takes_away_what_was_made_of_the_old_one(tmp_path: Path)
         (tmp_path / name).write_text("old")
     remove_results(tmp_path, None)
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_lines_are_shown_until_the_options_of_a_command_are_made(
+    tactorch: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[bool] = []
+
+    def build(command: str, cfg: Any) -> Any:
+        started.append(STARTED.is_set())
+        raise ConfigError("not made")
+
+    STARTED.clear()
+    monkeypatch.setattr(app, "build_options", build)
+    assert tactorch("simulate").status == 2
+    assert started == [False]
+    assert STARTED.is_set()

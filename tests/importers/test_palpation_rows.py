@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from tactorch.errors import TactorchError
 from tactorch.fem.contact.pressures import ball_force
 from tactorch.importers import import_palpation
-from tactorch.importers.strokes import find_stroke, lost_work
+from tactorch.importers.strokes import find_mixed, find_stroke, lost_work
+from tactorch.mesh import TetMesh, box_mesh, write_mesh
 from tactorch.recording import Recording
 
 from .palpation_tables import (
@@ -190,6 +191,7 @@ SCALES = {
     "kN": (slice(4, 7), 1e-3, FORCES),
     "m": (slice(1, 4), 1e-3, ("x", "y", "z")),
     "um": (slice(1, 4), 1e3, ("x", "y", "z")),
+    "cm": (slice(1, 4), 0.1, ("x", "y", "z")),
 }
 
 
@@ -206,6 +208,51 @@ def test_units_are_refused_by_what_they_imply(tmp_path: Path, unit: str) -> None
     suffixed = {f"{name}_mm" if name in "xyz" else f"{name}_n" for name in quantities}
     names = [f"{name.split('_')[0]}_{unit}" if name in suffixed else name for name in NAMES]
     check(read(write(path, rows, names)))
+
+
+def test_a_wide_palpation_in_cm_is_refused_by_its_depths(tmp_path: Path) -> None:
+    rows = palpation()
+    rows[:, 1:3] *= 2.5  # 10 mm apart
+    rows = np.concatenate([rows, rows + np.array([16, 40, *np.zeros(6)])])
+    rows[:, 1:4] *= 0.1
+    path = write(tmp_path / "p.csv", rows)
+    with pytest.raises(TactorchError, match=r"at places 1 mm apart.* as if they were in cm; give"):
+        read(path)
+    check(read(path, units=dict.fromkeys("xyz", "cm"), edge_mm=15.0), probes=32)
+
+
+def test_dense_probes_and_few_are_no_sign_of_cm(tmp_path: Path) -> None:
+    rows = palpation()
+    rows[:, 1:3] *= 0.6
+    check(read(write(tmp_path / "p.csv", rows)))
+
+
+def test_contacts_far_from_the_given_mesh_are_refused(tmp_path: Path) -> None:
+    rows, block = palpation(), box_mesh((110.0, 110.0, 12.0), (18, 18, 2))
+    rows[:, 1:3] *= 7.0
+    body = TetMesh(block.points - np.array([13.0, 13.0, 10.0]), block.tets)
+    write_mesh(tmp_path / "body.vtu", body)
+    options = {"mesh": tmp_path / "body.vtu"}
+    check(read(write(tmp_path / "p.csv", rows), **options))
+    centimetres = rows.copy()
+    centimetres[:, 1:4] *= 0.1
+    path = write(tmp_path / "q.csv", centimetres)
+    with pytest.raises(TactorchError, match=r"surface of format\.mesh, as .* in cm; give"):
+        read(path, **options)
+    check(read(path, **options, units=dict.fromkeys("xyz", "cm")))
+    rows[:, 1:4] += 60.0
+    with pytest.raises(TactorchError, match="check that it is the mesh of this object"):
+        read(write(tmp_path / "r.csv", rows), **options)
+
+
+def test_balls_pressed_into_half_of_the_depth_are_reported(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = write(tmp_path / "p.csv", palpation())
+    read(path, depth_mm=4.0)
+    assert "check format.depth_mm" not in caplog.text
+    read(path, depth_mm=2.5)
+    assert "% of the depth of the object" in caplog.text
 
 
 @pytest.mark.parametrize("wrong", [{"depth_mm": 0.015}, {"radius_mm": 0.003}, {"depth_mm": 1.2}])
@@ -317,6 +364,22 @@ def test_rows_may_be_in_any_order(
     pressed = palpation()
     check(read(write(tmp_path / "q.csv", pressed[order(pressed)])))
     assert "in no order of time" in caplog.text
+    with pytest.raises(TactorchError, match=r"differ by about \d\d %.* Give a column 'time_s'"):
+        read(write(tmp_path / "r.csv", rows[order(rows)]))
+
+
+@pytest.mark.parametrize("noise", [1.0, 4.0])
+def test_branches_at_equal_depth_are_found_by_their_forces(noise: float) -> None:
+    def probes(lifted: float, jitter_mm: float = 0.0) -> list[tuple[np.ndarray, np.ndarray]]:
+        rows, rng = palpation(FULL, lifted=lifted), np.random.default_rng(1)
+        rows[:, 6] += NOISE * np.sqrt(noise**2 - 1.0) * rng.standard_normal(len(rows))
+        rows[:, 3] += jitter_mm * rng.standard_normal(len(rows))
+        return [(-part[:, 3], part[:, 6]) for part in np.split(rows, 16)]
+
+    assert find_mixed(probes(0.6)) == pytest.approx(0.4, abs=0.1)
+    assert find_mixed(probes(1.0)) == 0.0
+    assert find_mixed(probes(1.0, 0.04)) == 0.0
+    assert find_mixed([]) == 0.0
 
 
 def test_a_clock_that_begins_again_does_not_mix_sessions(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """Fields of VTK files, and errors of wrong files."""
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,9 +7,11 @@ from typing import Any
 import meshio
 import numpy as np
 import pytest
+import pyvista
 
 from tactorch.errors import ConfigError, FileError, MeshError, RecordingError, TactorchError
 from tactorch.importers import import_vtk
+from tactorch.importers.vtk_files import read_vtk
 from tactorch.mesh import TetMesh, write_mesh
 from tactorch.recording import Recording
 
@@ -257,7 +258,7 @@ def test_wrong_fields_are_named(
         ("a.vtu", b"", "vtu"),
         ("a.vtu", b"<VTKFile", "cannot be read as vtu"),
         ("a.vtk", b"# vtk DataFile Version 3.0\n", "cannot be read as vtk"),
-        ("a.vtp", b"<VTKFile", "VTP"),
+        ("a.vtp", b"<VTKFile", "cannot be read as vtp"),
         ("a.vti", b"x", "unknown suffix"),
         ("none.vtu", None, "none.vtu"),
         ("folder", None, "contains no file"),
@@ -266,8 +267,6 @@ def test_wrong_fields_are_named(
 def test_wrong_files_are_named(
     tmp_path: Path, body: Path, name: str, content: bytes | None, words: str
 ) -> None:
-    if name.endswith("vtp"):
-        pytest.importorskip("vtkmodules")
     if content is not None:
         (tmp_path / name).write_bytes(content)
     elif name == "folder":
@@ -304,13 +303,26 @@ def test_two_files_of_one_press(tmp_path: Path, simulated: Recording) -> None:
         import_vtk(tmp_path)
 
 
-def test_vtp_without_vtk_names_the_extra(
-    tmp_path: Path, body: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("mode", ["Ascii", "Binary", "Appended"])
+@pytest.mark.parametrize("compressor", ["None", "ZLib", "LZMA"])
+@pytest.mark.parametrize("encoded", [True, False])
+def test_surfaces_of_vtk_in_each_encoding(
+    tmp_path: Path, mode: str, compressor: str, encoded: bool
 ) -> None:
-    (tmp_path / "a.vtp").write_text("x")
-    monkeypatch.setitem(sys.modules, "vtkmodules.vtkIOXML", None)
-    with pytest.raises(ConfigError, match=r"tactorch\[vtk\]"):
-        import_vtk(tmp_path / "a.vtp", mesh=body)
+    vtk = pytest.importorskip("vtkmodules.vtkIOXML")
+    surface = pyvista.Plane(i_resolution=2, j_resolution=1).triangulate()
+    surface["u"] = np.arange(3.0 * surface.n_points).reshape(-1, 3)
+    writer = vtk.vtkXMLPolyDataWriter()
+    writer.SetFileName(str(tmp_path / "a.vtp"))
+    writer.SetInputData(surface)
+    getattr(writer, f"SetDataModeTo{mode}")()
+    getattr(writer, f"SetCompressorTypeTo{compressor}")()
+    writer.SetEncodeAppendedData(encoded)
+    writer.Write()
+    found = read_vtk(tmp_path / "a.vtp")
+    np.testing.assert_allclose(found.points, surface.points, atol=1e-6)
+    np.testing.assert_array_equal(found.triangles, surface.regular_faces)
+    np.testing.assert_allclose(found.fields["u"], surface["u"])
 
 
 def test_results_written_by_the_library_are_read(tmp_path: Path, simulated: Recording) -> None:

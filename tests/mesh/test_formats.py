@@ -430,18 +430,35 @@ def test_regions_of_vtk_files(tmp_path: Path, name: str) -> None:
     np.testing.assert_array_equal(read_mesh(tmp_path / "m.vtu").regions, REGIONS)
 
 
-def test_vtk_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
-    voxels = pyvista.ImageData(dimensions=(3, 3, 3)).cast_to_unstructured_grid()
+def test_boxes_of_vtk_are_divided(tmp_path: Path) -> None:
+    voxels = pyvista.ImageData(dimensions=(3, 4, 3)).cast_to_unstructured_grid()
+    voxels.cell_data["region"] = np.arange(12)
     voxels.save(tmp_path / "v.vtu")
-    with pytest.raises(TactorchError, match=r"v\.vtu' has voxels\. .*triangulate\(\) in PyVista"):
-        read_mesh(tmp_path / "v.vtu")
-    voxels.triangulate().save(tmp_path / "t.vtu")
-    assert read_mesh(tmp_path / "t.vtu").volumes.sum() == pytest.approx(8.0)
+    mesh = read_mesh(tmp_path / "v.vtu")
+    assert mesh.regions is not None
+    np.testing.assert_allclose(np.bincount(mesh.regions, mesh.volumes), 1.0)
+    np.testing.assert_allclose(mesh.surface.areas.sum(), 32.0)
     hexahedra = pyvista.StructuredGrid(
         *np.meshgrid(*[np.arange(3.0)] * 3)
     ).cast_to_unstructured_grid()
     hexahedra.save(tmp_path / "h.vtu")
     assert read_mesh(tmp_path / "h.vtu").volumes.sum() == pytest.approx(8.0)
+
+
+def test_pieces_of_a_vtk_file_are_joined(tmp_path: Path) -> None:
+    vtk, path = pytest.importorskip("vtkmodules.vtkIOXML"), tmp_path / "p.vtu"
+    parts = []
+    for x in (0.0, 2.0):
+        writer = vtk.vtkXMLUnstructuredGridWriter()
+        writer.SetFileName(str(path))
+        grid = pyvista.ImageData(dimensions=(3, 3, 3), origin=(x, 0.0, 0.0))
+        writer.SetInputData(grid.cast_to_unstructured_grid())
+        writer.SetDataModeToBinary()
+        writer.Write()
+        parts.append(path.read_text())
+    piece = parts[0][parts[0].index("<Piece") : parts[0].index("</UnstructuredGrid>")]
+    path.write_text(parts[1].replace("</UnstructuredGrid>", piece + "</UnstructuredGrid>"))
+    assert read_mesh(path).volumes.sum() == pytest.approx(16.0)
 
 
 # --- Surfaces ------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, FileError, MeshError
+from tactorch.importers.vtk_files import read_vtk
 from tactorch.mesh import (
     Box,
     Cylinder,
@@ -192,17 +193,15 @@ def test_damaged_files_are_named(
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_reader_that_exits_is_caught(
-    mesh: TetMesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_reader_that_exits_is_caught(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def leave(path: str) -> None:
         print("cannot go on")
         raise SystemExit(1)
 
-    write_mesh(tmp_path / "object.vtu", mesh)
-    monkeypatch.setattr(meshio.vtu, "read", leave)
-    with pytest.raises(FileError, match=r"object\.vtu' cannot be read as vtu: cannot go on"):
-        read_mesh(tmp_path / "object.vtu")
+    (tmp_path / "object.vtk").write_text("# vtk")
+    monkeypatch.setattr(meshio.vtk, "read", leave)
+    with pytest.raises(FileError, match=r"object\.vtk' cannot be read as vtk: cannot go on"):
+        read_vtk(tmp_path / "object.vtk")
 
 
 @pytest.mark.parametrize("read", [read_mesh, read_surface])

@@ -3,12 +3,14 @@
 import json
 import logging
 from dataclasses import replace
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from tactorch.config import registry
 from tactorch.errors import ConfigError, FileError
 from tactorch.sensor.calibration import (
     SENSOR_MAPS,
@@ -17,12 +19,14 @@ from tactorch.sensor.calibration import (
     Calibration,
     Circle,
     FitOptions,
+    MapQuality,
     evaluate_map,
     find_circle,
     fit_map,
     image_change,
     load_calibration,
     marker_pixels,
+    quality,
     read_labels,
     save_calibration,
     select_map,
@@ -262,3 +266,14 @@ def test_the_map_that_errs_least_on_presses_left_out_is_chosen() -> None:
     assert found["mlp_colour"].r2 > (0.8, 0.8)
     with pytest.raises(ConfigError, match="folds=3: give 2 to 2"):
         select_map(few[:2], BALL)
+
+
+def test_maps_of_other_packages_are_no_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
+    entries = [EntryPoint("other", "no_such_package_here:Map", "tactorch.sensor_map")]
+    monkeypatch.setattr(registry, "entry_points", lambda group: entries)
+    with pytest.raises(ConfigError, match="no_such_package_here"):
+        SENSOR_MAPS.build("other")
+    good = MapQuality((0.9, 0.9), (0.1, 0.1), 0.01, 100)
+    monkeypatch.setattr(quality, "cross_validate", lambda *_: good)
+    _, found = select_map(touches([CENTERS[0], CENTERS[8]]), BALL)
+    assert set(found) == {"mlp", "mlp_colour", "lookup"}

@@ -64,12 +64,6 @@ class MeshFile:
     regions: Int[np.ndarray, " e"] | None = None
 
 
-def as_solid(kind: str, nodes: Int[np.ndarray, "m w"]) -> Cells:
-    """Return cells of VTK under the name of their shape."""
-    name = kind.lower().removeprefix("vtk_lagrange_").replace("tetrahedron", "tetra")
-    return Cells(name, nodes)
-
-
 def as_tets(file: MeshFile, source: object) -> tuple[Tets, Int[np.ndarray, " m"] | None]:
     """Return the solid elements as tetrahedra of their corner nodes, and their regions.
 

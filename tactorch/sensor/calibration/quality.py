@@ -1,6 +1,5 @@
 """Accuracy of maps from colors to slopes on presses of a ball, and selection of a map."""
 
-import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,10 +14,8 @@ from tactorch.sensor.calibration.fit import (
     fit_map,
     fit_new_contact,
 )
-from tactorch.sensor.calibration.maps import SENSOR_MAPS, SensorMap, SlopeMap, map_slopes
+from tactorch.sensor.calibration.maps import SENSOR_MAPS, SlopeMap, map_slopes
 from tactorch.sensor.depth import integrate_slopes
-
-_log = logging.getLogger(__name__)
 
 _MIN_SPREAD = 2.0  # range of the centers, over the contact radius, for maps that use the position
 _POSITION_GAIN = 0.05  # of the error, from which the position of pixels is worth using
@@ -127,7 +124,8 @@ def select_map(
 ) -> tuple[str, dict[str, MapQuality]]:
     """Select the map with the smallest error on left-out presses.
 
-    A map that uses the position of pixels is only selected if its error is smaller by 5 %, and if
+    Maps of other packages are imported where they are chosen by name, and are no candidates. A map
+    that uses the position of pixels is only selected if its error is smaller by 5 %, and if
     the presses are not all at one position. Arguments are those of `cross_validate`, and a callback
     with the number of evaluated maps and of all. `map` of the options is ignored.
 
@@ -136,7 +134,8 @@ def select_map(
     """
     options, quality = options or FitOptions(), dict[str, MapQuality]()
     differ = positions_differ(presses)
-    maps = _usable_maps()
+    others = SENSOR_MAPS.plugins()
+    maps = {name: SENSOR_MAPS.build(name) for name in SENSOR_MAPS if name not in others}
     maps = {k: m for k, m in maps.items() if m.automatic and (differ or not m.uses_position)}
     for number, (name, candidate) in enumerate(maps.items(), start=1):
         quality[name] = cross_validate(presses, ball, replace(options, map=candidate), folds)
@@ -157,13 +156,3 @@ def positions_differ(presses: Sequence[BallPress]) -> bool:
     centers = np.array([press.contact.center_px for press in presses])
     radius = float(np.median([press.contact.radius_px for press in presses]))
     return bool(np.ptp(centers, axis=0).max() > _MIN_SPREAD * radius)
-
-
-def _usable_maps() -> dict[str, SensorMap]:
-    maps = {}
-    for name in SENSOR_MAPS:
-        try:
-            maps[name] = SENSOR_MAPS.build(name)
-        except ConfigError as error:  # of another package
-            _log.warning("%s", error)
-    return maps
