@@ -47,7 +47,7 @@ class Start:
 
 
 class Trial(NamedTuple):
-    """Evidence of a model that is fitted with linear elements, or to linearised predictions."""
+    """Evidence of a model that is fitted with the reduced model, or to linearised predictions."""
 
     chi2: float
     misfit: float

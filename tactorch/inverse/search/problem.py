@@ -28,7 +28,7 @@ from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
 _OPTIMISM = 1.5  # falls of the objective over those of its quadratic model, at best
-_TRIAL_STEPS = 8  # of Gauss-Newton with linear elements
+_TRIAL_STEPS = 8  # of Gauss-Newton with the reduced model
 # Error of the discretisation that remains after its correction, over the displacements. It is the
 # same in all presses of a contact.
 _DISCRETISATION = 1e-3
@@ -56,7 +56,8 @@ class ShapeProblem:
 
     Attributes:
         quadratic: The presses with quadratic elements, on which models are judged.
-        linear: The presses with linear elements, on which they are tried.
+        linear: The presses with linear elements.
+        reduced: The presses with predictions about a uniform body, with which models are tried.
         sites: Volumes of the quadrature points of the quadratic elements.
         prior: Prior of the parameters of shapes.
         matched: Matched filter for balls.
@@ -177,7 +178,7 @@ class ShapeProblem:
         """Fit a proposal with quadratic elements, as far as it may have more evidence than a model.
 
         A fit that will hardly have more ends early: before its first step, whose gain is predicted
-        by the derivatives of linear elements, or between steps.
+        by the derivatives of the reduced model, or between steps.
         """
         self._check()
         problem = self.quadratic.with_data(self.data(start.errors))

@@ -50,7 +50,7 @@ def propose(problem: ShapeProblem, model: Model, max_shapes: int) -> list[Propos
 
 
 def _fitted(problem: ShapeProblem, model: Model, starts: Sequence[Start]) -> list[Proposal]:
-    """Return starts fitted with linear elements, several at once.
+    """Return starts fitted with the reduced model, several at once.
 
     Those with a further inclusion are fitted one after the other, as a start inside a ball that was
     fitted already would lead to it again.

@@ -1,10 +1,10 @@
-"""The search for inclusions: proposals by linear elements, decisions by quadratic ones.
+"""The search for inclusions: proposals by a reduced model, decisions by quadratic elements.
 
 A model is a background, uniform, smooth or layered, with a number of balls and ellipsoids, and
 deviations of the recorded forces and poses. From a model others follow: with a further ball where a
 matched filter sees one in the residuals, with a background of more modes, with a ball as an
-ellipsoid, or with larger errors of the forces or poses. Each is fitted with linear elements, whose
-data are shifted so that they agree with quadratic elements at the present model. They are then
+ellipsoid, or with larger errors of the forces or poses. Each is fitted with the reduced model,
+whose data are shifted so that it agrees with quadratic elements at the present model. They are then
 fitted with quadratic elements, the best first, and the first that raises the evidence enough is
 accepted.
 """
