@@ -63,7 +63,8 @@ class Linearization:
     ) -> Float[np.ndarray, "size *k"]:
         """Return the solution of K x = rhs, with x = 0 at fixed unknowns; see `factor`.
 
-        A relative residual `rtol` replaces that of the attribute where solutions are iterative.
+        A relative residual `rtol` replaces that of the attribute where solutions are iterative. With
+        one of 1 they are those of the factorisation at hand, of a similar tangent.
         """
         rtol = rtol if rtol and self.rtol else self.rtol
         if self.fixed.any():
@@ -72,6 +73,8 @@ class Linearization:
         with self.lease.hold() as lease:
             if rtol > 0.0 and rhs.ndim == 2 and rhs.shape[1] >= _MIN_COLUMNS:
                 self._renew(lease)
+            if rtol >= 1.0 and lease.factored is not None:
+                return lease.solve(rhs)
             iterate = partial(lease.solve_similar, self.tangent, rhs, rtol, _MAX_ITERATIONS)
             if rtol > 0.0 and (solution := iterate()) is not None:
                 return solution

@@ -40,7 +40,7 @@ _DERIVATIVE_RTOL = 2e-3  # of the solves for derivatives: far below the curvatur
 # Tolerances of fits: within one standard deviation of the optimum, and a sixth of the gain by which
 # models are accepted; and within a fifth of a standard deviation, for the last fit.
 _ROUGH_TOLERANCE, _TOLERANCE = 0.5, 0.02
-_RTOL = 1e-4  # of equilibria: residuals are right within 1e-3 standard deviations
+_RTOL = 1e-6  # of equilibria: far below the noise of a sensor
 
 
 class ShapeProblem:
