@@ -63,8 +63,8 @@ class Linearization:
     ) -> Float[np.ndarray, "size *k"]:
         """Return the solution of K x = rhs, with x = 0 at fixed unknowns; see `factor`.
 
-        A relative residual `rtol` replaces that of the attribute where solutions are iterative. With
-        one of 1 they are those of the factorisation at hand, of a similar tangent.
+        A relative residual `rtol` replaces that of the attribute where solutions are iterative; one
+        of 1 accepts those of the factorisation at hand, of a similar tangent.
         """
         rtol = rtol if rtol and self.rtol else self.rtol
         if self.fixed.any():

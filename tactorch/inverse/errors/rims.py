@@ -24,8 +24,8 @@ from tactorch.mesh.tractions import LoadedSurface
 # probable deviation is 0.2 to 0.5.
 EDGE_DEVIATION = 0.3
 _AT_ONCE = 100  # solves with one factorisation
-# Of these solves: none beyond the factorisation of a similar tangent, whose patterns are right within
-# a tenth, as the size of the errors is known to a factor of two.
+# Of these solves: those with the factorisation of a similar tangent, right within a tenth, are good
+# enough, as the size of the errors is known to a factor of two.
 _RTOL = 1.0
 
 
