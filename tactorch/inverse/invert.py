@@ -126,8 +126,8 @@ def invert(
         _log.warning("%s", warning)
         return element_map().with_warning(warning)
     is_explained = not found.reasons and found.chi2 <= _MAX_CHI2
-    interrupted = found.stop_reason == StopReason.INTERRUPTED
-    if settings.method == "inclusions" or is_explained or interrupted:
+    ended = found.stop_reason in (StopReason.INTERRUPTED, StopReason.TIME_LIMIT)
+    if settings.method == "inclusions" or is_explained or ended:
         return found
     _log.info("Inclusions do not explain the presses; the element map is computed too.")
     return better_of(found, element_map(), recording, settings)

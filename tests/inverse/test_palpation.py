@@ -205,4 +205,4 @@ def test_ctrl_c_keeps_the_inclusions_found_so_far(
     found = invert(with_lump)
     assert found.stop_reason == "interrupted"
     assert len(found.lumps) == 1
-    assert "The search was interrupted: there may be more inclusions." in found.warnings
+    assert "The search ended early (interrupted): there may be more inclusions." in found.warnings

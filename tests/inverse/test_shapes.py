@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -362,7 +363,22 @@ def test_ctrl_c_ends_a_search_with_the_last_accepted_model(uniform_recording, mo
 
     monkeypatch.setattr("tactorch.inverse.search.search.propose", interrupted)
     result = find_shapes(uniform_recording)
-    assert result.interrupted
+    assert result.ended == "interrupted"
+    assert [record["model"] for record in result.history] == ["uniform", "final fit"]
+
+
+def test_a_time_limit_ends_a_search_with_the_last_accepted_model(recording, monkeypatch):
+    challenge, clock = ShapeProblem.challenge, SimpleNamespace(now=0.0)
+
+    def late(self, *arguments):
+        clock.now = 100.0
+        return challenge(self, *arguments)
+
+    monkeypatch.setattr(ShapeProblem, "challenge", late)
+    times = SimpleNamespace(monotonic=lambda: clock.now)
+    monkeypatch.setattr("tactorch.inverse.search.model.time", times)
+    result = find_shapes(recording, Settings(max_seconds=50.0))
+    assert result.ended == "time limit reached"
     assert [record["model"] for record in result.history] == ["uniform", "final fit"]
 
 

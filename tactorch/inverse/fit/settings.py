@@ -56,7 +56,7 @@ class Settings(Options):
         factory=NuisancePrior, help="Nuisance parameters to be estimated", preset="none"
     )
     max_seconds: float | None = option(
-        None, "Time limit of an element map; null: none", unit="s", gt=0
+        None, "Time limit of the search for inclusions, or of an element map", unit="s", gt=0
     )
     method: Literal["auto", "inclusions", "map"] = option(
         "auto",

@@ -7,7 +7,7 @@ import numpy as np
 
 from tactorch.config import to_mapping
 from tactorch.inverse.errors import ERRORS
-from tactorch.inverse.fit.monitor import Monitor, StopReason
+from tactorch.inverse.fit.monitor import Monitor
 from tactorch.inverse.fit.objective import Objective
 from tactorch.inverse.fit.optimizers.base import Optimizer
 from tactorch.inverse.fit.settings import Settings
@@ -42,7 +42,7 @@ def of_inclusions(
         youngs=element_means(recording.mesh, shapes.youngs_at, _SAMPLES),
         displacements=moved if predictions is None else predictions.displacements,
         history=history,
-        stop_reason=str(StopReason.INTERRUPTED) if shapes.interrupted else _COMPLETE,
+        stop_reason=str(shapes.ended or _COMPLETE),
         seconds=seconds,
         config=config,
         predicted=None if predictions is None else predictions.data,
@@ -79,8 +79,8 @@ def _reasons_of(result: ShapeReconstruction) -> tuple[str, ...]:
 def _warnings_of(result: ShapeReconstruction) -> tuple[str, ...]:
     """Return a sentence on each error of the measurement that the data show, and on the search."""
     texts = [error.sentence(result.errors.get(error.name, 0.0)) for error in ERRORS]
-    if result.interrupted:
-        texts.append("The search was interrupted: there may be more inclusions.")
+    if result.ended is not None:
+        texts.append(f"The search ended early ({result.ended}): there may be more inclusions.")
     return tuple(filter(None, texts))
 
 

@@ -14,6 +14,7 @@ from tactorch.display import Displayed, Summarized
 from tactorch.inverse.data.plain import to_plain
 from tactorch.inverse.errors import Levels
 from tactorch.inverse.fields import InclusionShape, ShapeField, Sites
+from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.forward.predictions import Predictions
 from tactorch.inverse.posterior.shapes import ShapePosterior
 
@@ -113,7 +114,8 @@ class ShapeReconstruction(Displayed):
         predictions: Predictions of the presses; None where the result comes from a file.
         held_out: How well a contact is predicted from the others; None where it is not known. See
             `tactorch.inverse.search.held_out`.
-        interrupted: Whether Ctrl-C ended the search, so that there may be more inclusions.
+        ended: What ended the search early, so that there may be more inclusions: Ctrl-C or the time
+            limit; None by default.
     """
 
     field: ShapeField
@@ -127,7 +129,7 @@ class ShapeReconstruction(Displayed):
     history: tuple[dict[str, Any], ...] = ()
     predictions: Predictions | None = None
     held_out: float | None = None
-    interrupted: bool = False
+    ended: StopReason | None = None
 
     def summary(self) -> str:
         """Return a description of the result in a few lines of text."""

@@ -1,6 +1,7 @@
 """Models of the search for shapes: fields with errors of the data, and what follows from them."""
 
 import logging
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -11,6 +12,7 @@ from jaxtyping import Float
 from tactorch.inverse.data.observations import DataModel
 from tactorch.inverse.errors import Levels
 from tactorch.inverse.fields import FAMILIES, SIZE, Candidate, Family, ShapeField, Sites
+from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites
 from tactorch.inverse.forward.palpation import contacts_of
 from tactorch.inverse.forward.predictions import Predictions
@@ -98,27 +100,62 @@ def falls_short(fit: ShapeFit, fall: float, rival: ShapeFit, margin: float = 0.0
     return gain(best, rival) < -margin
 
 
-def improve(step: Callable[[int], bool], models: int) -> bool:
-    """Accept models, by a step each, until there is no better one, or Ctrl-C.
+class OutOfTime(Exception):  # noqa: N818  (a signal, not an error)
+    """The time in which models are accepted is over."""
+
+
+class TimeLimit:
+    """A limit of the time in which models are accepted, from its construction on.
+
+    Args:
+        seconds: The limit, s, or None.
+        stop: Function that tells whether a search is stopped, without the limit.
+    """
+
+    def __init__(self, seconds: float | None, stop: Callable[[], bool]) -> None:
+        self._seconds, self._stop, self.holds = seconds, stop, False
+        self._began = time.monotonic()
+
+    def __call__(self) -> bool:
+        """Return whether the search is stopped.
+
+        Raises:
+            OutOfTime: the limit is exceeded while it `holds`.
+        """
+        if self.holds and time.monotonic() - self._began > (self._seconds or np.inf):
+            raise OutOfTime
+        return self._stop()
+
+
+def improve(step: Callable[[int], bool], models: int, limit: TimeLimit) -> StopReason | None:
+    """Accept models, by a step each, until there is no better one, the time limit, or Ctrl-C.
 
     Args:
         step: Function of the number of the model, from 2, which returns whether it was accepted.
         models: Largest number of accepted models.
+        limit: The time limit; fits of steps call it.
 
     Returns:
-        Whether Ctrl-C ended it. The last accepted model is then the result.
+        What ended it early, or None. The last accepted model is then the result.
     """
+    limit.holds = True
     try:
         for number in range(2, models + 2):
+            limit()
             if not step(number):
                 break
+    except OutOfTime:
+        _log.warning("The search reaches its time limit and ends with the last accepted model.")
+        return StopReason.TIME_LIMIT
     except KeyboardInterrupt:
         _log.warning(
             "Ctrl-C: the search ends with the last accepted model, whose intervals are computed. "
             "Ctrl-C again ends at once."
         )
-        return True
-    return False
+        return StopReason.INTERRUPTED
+    finally:
+        limit.holds = False
+    return None
 
 
 def record(what: str, fit: ShapeFit) -> dict[str, Any]:

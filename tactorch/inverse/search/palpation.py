@@ -31,6 +31,7 @@ from tactorch.inverse.search.model import (
     MIN_CANDIDATE_GAIN,
     Model,
     Start,
+    TimeLimit,
     falls_short,
     gain,
     improve,
@@ -319,18 +320,18 @@ def find_palpation_shapes(
     *,
     max_shapes: int,
     max_models: int,
-    stop: Callable[[], bool] = lambda: False,
+    limit: TimeLimit,
 ) -> ShapeReconstruction:
     """Find the inclusions under the presses of a palpation; see `find_shapes`."""
     with progress_line("search for inclusions") as update:
         update("uniform body")
-        search = _Search(recording, settings, stop)
+        search = _Search(recording, settings, limit)
 
         def step(number: int) -> bool:
             update(f"model {number}")
             return search.improve(max_shapes)
 
-        interrupted = improve(step, max_models)
+        ended = improve(step, max_models, limit)
         update("final fit")
-        result = replace(search.result(), interrupted=interrupted)
+        result = replace(search.result(), ended=ended)
         return with_predictions(result, search.model, recording)

@@ -30,6 +30,7 @@ from tactorch.inverse.search.model import (
     Model,
     Proposal,
     Start,
+    TimeLimit,
     gain,
     improve,
     record,
@@ -66,7 +67,8 @@ def find_shapes(
 
     Args:
         recording: Presses on an object.
-        settings: Noise, solver, bounds and equilibrium search are used. Elements are quadratic, and
+        settings: Noise, solver, bounds, equilibrium search and time limit are used. The latter is
+            that of the search, without the posterior. Elements are quadratic, and
             smaller than those of the recording at the rims of contacts, and predictions are
             corrected by finer meshes there and at inclusions, unless the provenance states that the
             presses were computed on the recording's mesh.
@@ -91,15 +93,16 @@ def find_shapes(
     known = [error.name for error in ERRORS]
     for name in set(errors) - set(known):
         raise ConfigError(unknown_choice("errors", name, known))
+    limit = TimeLimit(settings.max_seconds, stop)
     if is_palpation(recording):
         return find_palpation_shapes(
-            recording, settings, max_shapes=max_shapes, max_models=_MAX_MODELS, stop=stop
+            recording, settings, max_shapes=max_shapes, max_models=_MAX_MODELS, limit=limit
         )
     refined = recording if is_same_model(recording) else refined_at_contacts(recording)
     with progress_line("search for inclusions") as update:
         update("elements at the contacts")
-        problem = ShapeProblem(refined, settings, stop, kept, errors)
-        model, result = _search(problem, start, max_shapes, update)
+        problem = ShapeProblem(refined, settings, limit, kept, errors)
+        model, result = _search(problem, start, max_shapes, update, limit)
         return with_predictions(result, model, recording)
 
 
@@ -108,6 +111,7 @@ def _search(
     start: ShapeReconstruction | ShapeState | None,
     max_shapes: int,
     update: Callable[[str], None],
+    limit: TimeLimit,
 ) -> tuple[Model, ShapeReconstruction]:
     """Accept models of more evidence until there is none; return the last one, and the result."""
     update("first model")
@@ -126,7 +130,7 @@ def _search(
         return True
 
     try:
-        interrupted = improve(step, _MAX_MODELS)
+        ended = improve(step, _MAX_MODELS, limit)
         update("final fit")
         model = _final(problem, model)
         update("posterior")
@@ -134,7 +138,7 @@ def _search(
         if best is not model:
             history.append(record("balls as ellipsoids", best.fit))
         result = _result(problem, best, posterior, history)
-        return best, replace(result, interrupted=interrupted)
+        return best, replace(result, ended=ended)
     except CancelledError as error:
         error.reached = ShapeState(model.fit.field, model.fit.z, model.errors)
         raise
