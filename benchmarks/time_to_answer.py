@@ -5,7 +5,7 @@
 
 The recordings are those of `true_objects.py` (solved on other, finer meshes): whole sides, nine
 patches, a dome under fingers, and patches that are misplaced by 0.3 mm. Each is inverted in a
-process of its own, by the package of this checkout, and with `--before` also by that of another
+separate process, by the package of this checkout, and with `--before` also by that of another
 one, one after the other. `cpu` is the processor time of the process, `seconds` the elapsed time,
 both of `find_shapes` alone; `GiB` is the largest memory. Stages of the search are those that it
 logs, with the processor time at their end. `centre` is the distance of the first inclusion's centre

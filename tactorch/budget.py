@@ -70,7 +70,7 @@ def check_work(what: str, needed: float) -> None:
     if needed > (limit := work_bytes()):
         raise ConfigError(
             f"{what} would take {_size(needed)} of memory, and the arrays of one computation may "
-            f"take {_size(limit)}; use fewer presses or a coarser mesh, or set {_WORK_VARIABLE}="
+            f"take {_size(limit)}; use fewer presses or a coarser mesh, or set TACTORCH_WORK_GIB="
             f"{math.ceil(needed / _GIB)} if the memory suffices."
         )
 

@@ -5,8 +5,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from threading import Event, Thread
 
-from tactorch.progress import Silence
-
 #: Set when a command runs, and gives signs of life itself.
 STARTED = Event()
 _SOON_S, _PERIOD_S = 0.7, 8.0
@@ -26,4 +24,6 @@ def _repeat(verb: str) -> None:
         with suppress(OSError, ValueError):  # no one reads it
             print(f"tactorch {verb}: working ...", flush=True)
         wait_s, last = _PERIOD_S, time.monotonic()
+    from tactorch.progress import Silence  # loads logging, which the help does without
+
     Silence.end(last)

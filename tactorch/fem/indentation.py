@@ -96,7 +96,7 @@ class Indentation:
                 "Presses at many places with one factorisation need material 'linear'; the "
                 f"material is {type(body.assembly.material).__name__}."
             )
-        self.last: _Anew | None = None
+        self.last: _FullSolution | None = None
         self.body, self.places, self.supports = body, tuple(places), supports
         self.balls_mm = np.array([place.ball_mm for place in self.places])
         deepest = np.array([place.deepest_mm for place in self.places])
@@ -263,7 +263,7 @@ class _Part(NamedTuple):
     nodes: Int[np.ndarray, "m _"] | None = None  # rows of the nodes of each element, if others
 
 
-class _Anew:
+class _FullSolution:
     """Solutions of a body at any moduli, for a part of the places at a time."""
 
     def __init__(self, indentation: Indentation, youngs: Float[np.ndarray, "m *q"]) -> None:
@@ -312,7 +312,7 @@ class IndentedBody:
         self._local = indentation.without_solve(youngs)
         self._softness = indentation.shares.T @ (1.0 / self._by_element)
         if self._local is None:
-            mesh = self._anew.compliance
+            mesh = self._full_solution.compliance
         else:
             mesh = (
                 indentation.unit_compliance - self._local.less(len(_FRACTIONS))
@@ -320,8 +320,8 @@ class IndentedBody:
         self.compliance = mesh + indentation.missed * self._softness[:, None, None]
 
     @cached_property
-    def _anew(self) -> _Anew:
-        return _Anew(self._indentation, self.youngs)
+    def _full_solution(self) -> _FullSolution:
+        return _FullSolution(self._indentation, self.youngs)
 
     @cached_property
     def _by_element(self) -> Float[np.ndarray, " m"]:
@@ -417,14 +417,14 @@ class IndentedBody:
         if self._local is not None and indentation.is_small(elements):
             yield _Part(np.arange(len(indentation.places)), *self._local.fields(elements))
         else:
-            yield from self._anew.parts()
+            yield from self._full_solution.parts()
 
     def _rates(self) -> Iterator[tuple[np.ndarray, Float[np.ndarray, "pairs s moduli"]]]:
         """Yield places with minus the derivatives of their compliance by the moduli."""
         indentation = self._indentation
         rows, cols = np.triu_indices(len(_FRACTIONS))
         everything = np.arange(len(self._by_element))
-        for part in self._anew.parts():
+        for part in self._full_solution.parts():
             missed = indentation.missed[part.places][:, rows, cols].T[..., None].astype(np.float32)
             softened = indentation.shares[:, part.places].T.toarray() / self._by_element**2
             points = softened[..., None] * self._point_weights

@@ -69,7 +69,7 @@ A reader refuses a version above its own. A change of the layout raises `VERSION
 4 and 5 without `probe`, `force` and `surface`; in versions 4 and 5 all nodal fields were stored,
 and probes had no `deviation_mm`; versions 6 and 7 have no `regions`, and are written for meshes
 without regions, so that tactorch before version 8 reads them; versions 8 and 9 have no `errors`,
-and are written where no press has them; before version 12 each press had a group of its own, as it
+and are written where no press has them; before version 12 each press had a separate group, as it
 has where the nodal fields differ.
 """
 

@@ -67,7 +67,7 @@ def test_rods_of_the_matched_filter_have_their_volume() -> None:
     mesh = box_mesh((60.0, 40.0, 20.0), (18, 12, 6), tets_per_cell=5)
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
     size, halves, checked = float(np.cbrt(60.0 * 40.0 * 20.0)), set(), 0
-    for rods in Balls.rods(mesh):
+    for rods in Balls.rods(mesh, lambda points: np.ones(len(points), dtype=bool)):
         assert np.ptp(rods.halves, axis=0).max(initial=0.0) == 0.0
         assert np.abs(rods.halves[:, 2]).max(initial=0.0) < 1e-12  # along the two longest sides
         halves |= set(np.round(np.linalg.norm(rods.halves, axis=1) / size, 3).tolist())

@@ -100,7 +100,7 @@ def falls_short(fit: ShapeFit, fall: float, rival: ShapeFit, margin: float = 0.0
     return gain(best, rival) < -margin
 
 
-class OutOfTime(Exception):  # noqa: N818  (a signal, not an error)
+class StopSearch(Exception):  # noqa: N818  (a signal, not an error)
     """The time in which models are accepted is over."""
 
 
@@ -120,10 +120,10 @@ class TimeLimit:
         """Return whether the search is stopped.
 
         Raises:
-            OutOfTime: the limit is exceeded while it `holds`.
+            StopSearch: the limit is exceeded while it `holds`.
         """
         if self.holds and time.monotonic() - self._began > (self._seconds or np.inf):
-            raise OutOfTime
+            raise StopSearch
         return self._stop()
 
 
@@ -144,7 +144,7 @@ def improve(step: Callable[[int], bool], models: int, limit: TimeLimit) -> StopR
             limit()
             if not step(number):
                 break
-    except OutOfTime:
+    except StopSearch:
         _log.warning("The search reaches its time limit and ends with the last accepted model.")
         return StopReason.TIME_LIMIT
     except KeyboardInterrupt:
