@@ -139,7 +139,13 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 # A part of the first record fits; it fits, the traceback does not.
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no limit of a file's size")
-@pytest.mark.parametrize(("free", "reason"), [(100, "cannot write"), (600, "'missing.h5' is not")])
+@pytest.mark.parametrize(
+    ("free", "reason"),
+    [
+        pytest.param(100, "cannot write", marks=pytest.mark.slow),
+        (600, "'missing.h5' is not"),
+    ],
+)
 def test_a_log_that_is_full_within_a_record_ends_with_one_line(
     free: int, reason: str, tmp_path: Path
 ) -> None:

@@ -496,8 +496,20 @@ ATTACKS: list[tuple[str, str, Callable[[Path], Path]]] = [
 SHARED = {("table", "long text in each row"), ("volume", "longer than stated (nrrd)")}
 
 
+#: Files that take long to make; others of their kind are quick.
+LONG = {
+    ("arrays", "states less (bzip2)"),
+    ("arrays", "states less (lzma)"),
+    ("volume", "longer than stated (nrrd)"),
+}
+
+
 @pytest.mark.parametrize(
-    ("reader", "attack", "make"), ATTACKS, ids=[f"{r}: {a}" for r, a, _ in ATTACKS]
+    ("reader", "attack", "make"),
+    [
+        pytest.param(*a, marks=[pytest.mark.slow] * (a[:2] in LONG), id=f"{a[0]}: {a[1]}")
+        for a in ATTACKS
+    ],
 )
 def test_attacks(
     reader: str, attack: str, make: Callable[[Path], Path], ask: Ask, tmp_path: Path
@@ -645,7 +657,7 @@ VALID: list[tuple[str, Callable[[Path], Path]]] = [
     *(("surface", valid_mesh(suffix)) for suffix in (".stl", ".obj", ".ply")),
     *(("vtk", valid_vtk(suffix)) for suffix in (".vtu", ".vtk", ".vtp")),
 ]
-QUICK, FULL = 10, 100
+QUICK, FULL = 5, 100
 
 
 def damaged(content: bytes, rng: np.random.Generator) -> bytes:

@@ -63,6 +63,7 @@ def test_the_normal_case_is_covered_as_stated(benchmark: ModuleType, objects: Mo
     assert found["mean_deviation"] == pytest.approx(found["mean_rms_error"], rel=0.2)
 
 
+@pytest.mark.slow
 def test_the_last_line_is_the_figures_that_count(
     benchmark: ModuleType, capsys: pytest.CaptureFixture[str]
 ):

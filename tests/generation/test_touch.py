@@ -71,6 +71,7 @@ def test_samples_are_those_of_recipe_and_index(made: SampleSet, make: Make) -> N
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_bytes_do_not_depend_on_workers_or_interruptions(
     made: SampleSet, make: Make, tmp_path: Path
 ) -> None:

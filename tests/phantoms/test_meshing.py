@@ -107,6 +107,7 @@ def test_wrong_settings_are_refused(body: Box | Cylinder, settings: dict, messag
         Phantom(body, [(Sphere(radius_mm=0.1), 1.0)]).mesh(**settings)
 
 
+@pytest.mark.slow
 def test_faces_of_a_box_are_plane() -> None:
     ball = Sphere((5.0, 5.0, 6.0), 2.0)
     mesh = Phantom(Box((5.0,) * 3, (10.0, 10.0, 10.0)), [(ball, 1.0)]).mesh(3.0, conforming=True)

@@ -115,7 +115,8 @@ class CorrelatedNoise:
     @cached_property
     def _loss(self) -> Float[np.ndarray, "k k"] | sp.spmatrix:
         variances, vectors = self._modes
-        return vectors @ sp.diags(1.0 / (variances + np.sqrt(variances))) @ vectors.T
+        weights = 1.0 / (variances + np.sqrt(variances))
+        return sp.diags(weights) if sp.issparse(vectors) else (vectors * weights) @ vectors.T
 
     @property
     def log_determinant(self) -> float:
