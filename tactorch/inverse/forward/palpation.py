@@ -76,7 +76,6 @@ class PalpationEvaluation(Evaluation):
         self, problem: "PalpationProblem", body: IndentedBody, forces: BallForces, data: DataModel
     ) -> None:
         self._problem, self._body, self._forces = problem, body, forces
-        self._last: tuple[np.ndarray, np.ndarray] | None = None
         super().__init__(body.youngs, problem.assumed, np.zeros((0, 3)), [], data)
 
     @property
@@ -84,10 +83,6 @@ class PalpationEvaluation(Evaluation):
         """Predicted components of the force of each press, N."""
         values = self._problem.directions * self._forces.force_n[self._problem.press_of]
         return np.split(values, self._begins[1:])
-
-    def with_data(self, data: DataModel) -> "PalpationEvaluation":
-        """Return the same forces with other statistics of the same data."""
-        return PalpationEvaluation(self._problem, self._body, self._forces, data)
 
     @property
     def sensitivities(self) -> list[Any]:
@@ -102,35 +97,37 @@ class PalpationEvaluation(Evaluation):
 
     @cached_property
     def _chain(self) -> sp.csr_matrix:
-        """Derivatives of the data, in their units, by minus the compliance of all places."""
+        """Derivatives of the data (N) by minus the compliance of all places."""
         problem, forces = self._problem, self._forces
         pairs, count = forces.terms.shape[1], len(problem.indentation.places)
         of = problem.press_of
         columns = np.arange(pairs) * count + forces.places[of][:, None]
-        values = (problem.directions * self.data.scale)[:, None] * forces.terms[of]
+        values = problem.directions[:, None] * forces.terms[of]
         rows = np.repeat(np.arange(len(of)), pairs)
         shape = (len(of), count * pairs)
         return sp.csr_matrix((values.ravel(), (rows, columns.ravel())), shape)
 
+    @property
+    def _scaled_chain(self) -> sp.csr_matrix:
+        """The same of the data in standard deviations."""
+        return sp.diags(self.data.scale) @ self._chain
+
     def jacobian(self) -> Float[np.ndarray, "data moduli"]:
         """Return d residuals / d youngs, 1/MPa."""
-        return self._of_residuals(self._body.combined_rates(self._chain))
+        return self._of_residuals(self._body.combined_rates(self._scaled_chain))
 
     def jacobian_times(self, change: Moduli) -> Float[np.ndarray, " data"]:
         """Return the change of the residuals by a change of the moduli (MPa)."""
         moved = self._body.rates @ change.ravel().astype(np.float32)
-        return self._of_residuals(self._chain @ moved.astype(np.float64))
+        return self._of_residuals(self._scaled_chain @ moved.astype(np.float64))
 
-    def linear_response(self, changes: Changes) -> tuple[Columns, list[NodalFields]]:
-        """Return `jacobian_times_each`; displacements are not kept, and the last response is."""
-        columns = changes.reshape(len(changes), -1)
-        if self._last is None or not np.array_equal(self._last[0], columns):
-            self._last = columns.copy(), self._body.compliance_changes(columns)
-        return self._of_residuals(self._chain @ self._last[1]), []
+    def _respond(self, changes: Changes) -> tuple[Columns, list[NodalFields]]:
+        """Return the changes of the data (N); displacements are not kept."""
+        return self._chain @ self._body.compliance_changes(changes.reshape(len(changes), -1)), []
 
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Moduli:
         """Return the transpose of d residuals / d youngs times `weights`."""
-        rows = (self._chain.T @ self._of_data(weights)).astype(np.float32)
+        rows = (self._scaled_chain.T @ self._of_data(weights)).astype(np.float32)
         return (self._body.rates.T @ rows).astype(np.float64).reshape(self.youngs.shape)
 
     def second_order_times(self, change: Moduli) -> Moduli:

@@ -1,6 +1,6 @@
 """The forward problem of all presses: equilibria, predictions and their derivatives (eq. 7)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -69,8 +69,8 @@ class _LinearResponse(NamedTuple):
     """Changes of the data (mm or N) and displacements (mm) of each press by changes of moduli."""
 
     changes: Changes
-    columns: tuple[Float[np.ndarray, "_ k"], ...]
-    fields: tuple[NodalFields, ...]
+    columns: Columns
+    fields: list[NodalFields]
 
 
 class Evaluation:
@@ -97,6 +97,11 @@ class Evaluation:
         self.derivative_rtol = derivative_rtol
         self.youngs, self.nuisance = youngs, nuisance
         self._weight, self._presses = weight, presses
+        self._response: _LinearResponse | None = None  # the last one
+        self._compare(data)
+
+    def _compare(self, data: DataModel) -> None:
+        """Compute the residuals of the data."""
         self.data, self._misfit, self._begins = data, data.misfit, data.begins
         pairs = zip(self.predicted, data.observations, strict=True)
         difference = [predicted - observation.values for predicted, observation in pairs]
@@ -104,7 +109,6 @@ class Evaluation:
         self.misfit_mm2 = 0.5 * float(sum(d @ d for d in moved))
         self._white = data.whiten(np.concatenate(difference) * data.scale)
         self.residuals = self._misfit.residuals(self._white, self._begins)
-        self._response: _LinearResponse | None = None  # the last one
 
     @property
     def chi2(self) -> float:
@@ -134,11 +138,9 @@ class Evaluation:
 
     def with_data(self, data: DataModel) -> "Evaluation":
         """Return the same equilibria with other statistics of the same data."""
-        state = (self.youngs, self.nuisance, self._weight, self._presses, data)
-        other = Evaluation(*state, self.derivative_rtol)
-        if "sensitivities" in vars(self):
-            other.sensitivities = self.sensitivities
-        other._response = self._response
+        other = copy(self)
+        vars(other).pop("_adjoints", None)  # those of other residuals
+        other._compare(data)
         return other
 
     def search(self, i: int) -> Newton:
@@ -227,18 +229,21 @@ class Evaluation:
 
         The last response is kept, also by `with_data`, for the same changes.
         """
-        cases, data = self.sensitivities, self.data.observations
+        if self._response is None or not np.array_equal(self._response.changes, changes):
+            self._response = _LinearResponse(changes.copy(), *self._respond(changes))
+        columns = self._response.columns * self.data.scale[:, None]
+        return self._of_residuals(columns), self._response.fields
+
+    def _respond(self, changes: Changes) -> tuple[Columns, list[NodalFields]]:
+        """Return the changes of the data (mm or N), and of the displacements of each press (mm)."""
+        cases = self.sensitivities
 
         def work(i: int) -> tuple[np.ndarray, np.ndarray]:
             columns, fields = cases[i].times_each(changes)
             return columns, np.array(fields)
 
-        if self._response is None or not np.array_equal(self._response.changes, changes):
-            columns, fields = zip(*map_cases(work, len(cases)), strict=True)
-            self._response = _LinearResponse(changes.copy(), columns, fields)
-        pairs = zip(self._response.columns, data, strict=True)
-        scaled = [columns * observation.scale[:, None] for columns, observation in pairs]
-        return self._join(scaled), list(self._response.fields)
+        columns, fields = zip(*map_cases(work, len(cases)), strict=True)
+        return np.concatenate(columns), list(fields)
 
     def moved(self, changes: Sequence[NodalField]) -> list[NodalField]:
         """Return the displacements of all presses plus changes (mm) that invert no element."""
@@ -507,6 +512,8 @@ class InverseProblem:
 
         contacts = self._contacts
 
+        made: dict[int, tuple[PressModel, Newton]] = {}
+
         def make(i: int, after: Newton | None = None) -> tuple[PressModel, Newton]:
             press = self.recording.presses[i]
             model = PressModel.of(press, mesh, values)
@@ -521,7 +528,7 @@ class InverseProblem:
         def work(i: int, after: Newton | None = None) -> _PressSolution:
             if near is not None and take_over:
                 after = near.search(i)
-            model, newton = make(i, after)
+            model, newton = made.get(i) or make(i, after)
             start = None if starts is None else near_equilibrium.get(i, starts[i])
             equilibrium = newton.run(start)
             if not equilibrium.converged:
@@ -531,7 +538,9 @@ class InverseProblem:
 
         near_equilibrium: dict[int, NodalField] = {}
         if starts is not None and self._leases is not None:
-            near_equilibrium = self._approach(starts, lambda i: make(i)[1])
+            made |= {i: make(i) for i in range(len(contacts)) if contacts[i] is None}
+            searches = {i: newton for i, (_, newton) in made.items()}
+            near_equilibrium = self._approach(searches, starts)
         self.evaluations += 1
         count = len(self.data.observations)
         parts = min(worker_count(), count) if chained else count
@@ -548,22 +557,21 @@ class InverseProblem:
         return Evaluation(youngs, values, weight, solutions, self.data, self.derivative_rtol)
 
     def _approach(
-        self, starts: Sequence[NodalField], search: Callable[[int], Newton]
+        self, searches: Mapping[int, Newton], starts: Sequence[NodalField]
     ) -> dict[int, NodalField]:
         """Return displacements near equilibrium of presses that share factorisations, by number."""
         leases = self._leases
         assert leases is not None
         chunks: list[list[int]] = []
         for lease in dict.fromkeys(leases):
-            numbers = [i for i, own in enumerate(leases) if own is lease]
-            numbers = [i for i in numbers if self._contacts[i] is None]
+            numbers = [i for i in searches if leases[i] is lease]
             parts = max(worker_count(), len(numbers) // _AT_ONCE)
             chunks += [numbers[k::parts] for k in range(parts) if numbers[k::parts]]
 
         def work(k: int) -> list[NodalField]:
             chunk = chunks[k]
-            searches = [search(i) for i in chunk]
-            return approach(searches, [starts[i] for i in chunk], leases[chunk[0]])
+            pairs = [searches[i] for i in chunk], [starts[i] for i in chunk]
+            return approach(*pairs, leases[chunk[0]])
 
         found = map_cases(work, len(chunks))
         return {

@@ -7,7 +7,6 @@ needs the sensitivities of a uniform body only, and an evaluation takes one prod
 """
 
 from collections.abc import Sequence
-from copy import copy
 from typing import Any
 
 import numpy as np
@@ -76,12 +75,6 @@ class ReducedEvaluation(Evaluation):
         """Predicted data of each press, in their units."""
         return self._predicted
 
-    def with_data(self, data: DataModel) -> "ReducedEvaluation":
-        """Return the same predictions with other statistics of the same data."""
-        other = copy(self)
-        Evaluation.__init__(other, self.youngs, self.nuisance, self._weight, [], data)
-        return other
-
     @property
     def sensitivities(self) -> list[Any]:
         """Not known: displacements of nodes have no derivatives here."""
@@ -100,12 +93,11 @@ class ReducedEvaluation(Evaluation):
         moduli = self.youngs.size // len(self._means)  # of an element, which share its change
         return np.repeat(rows / self._means / moduli, moduli).reshape(self.youngs.shape)
 
-    def linear_response(self, changes: Changes) -> tuple[Columns, list[NodalFields]]:
-        """Return `jacobian_times_each`; displacements are not known."""
+    def _respond(self, changes: Changes) -> tuple[Columns, list[NodalFields]]:
+        """Return the changes of the data, in their units; displacements are not known."""
         by_element = changes.reshape(len(changes), len(self._means), -1).mean(axis=2)
         logs = by_element / self._means
-        moved = self._problem.rates @ logs.T.astype(np.float32)
-        return self._of_residuals(moved.astype(np.float64) * self.data.scale[:, None]), []
+        return (self._problem.rates @ logs.T.astype(np.float32)).astype(np.float64), []
 
     def jacobian_times(self, change: Moduli) -> Float[np.ndarray, " data"]:
         """Return the change of the residuals by a change of the moduli (MPa)."""

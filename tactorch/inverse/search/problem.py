@@ -202,7 +202,7 @@ class ShapeProblem:
     def _coarse_fit(
         self, start: Start, z: Float[np.ndarray, " size"], evaluation: Evaluation
     ) -> ShapeFit:
-        """Return predictions of quadratic elements as a fit with derivatives of linear ones."""
+        """Return a fit of quadratic elements with derivatives of the reduced model."""
         point = ShapesOnSites(start.field, self._linear_sites).at(z)
         coarse = self.reduced.evaluate(point.youngs).with_data(evaluation.data)
         return ShapeFit.at(point, evaluation, point.jacobian(coarse))
@@ -288,7 +288,7 @@ class ShapeProblem:
     def offsets(self, model: Model) -> list[np.ndarray]:
         """Return predictions of the reduced model less those of quadratic elements at a model."""
         pairs = zip(self._coarse(model).predicted, model.evaluation.predicted, strict=True)
-        return [linear - quadratic for linear, quadratic in pairs]
+        return [reduced - quadratic for reduced, quadratic in pairs]
 
     def jacobian(self, model: Model) -> Float[np.ndarray, "data size"]:
         """Return the derivatives of the residuals of white noise by a model's parameters."""
