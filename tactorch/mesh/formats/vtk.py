@@ -144,13 +144,23 @@ class _Arrays:
         self._unpack = partial(Unpacking(path, _COPIES).part, _UNPACKERS[name]) if name else None
 
     def of(self, piece: ElementTree.Element) -> dict[str, dict[str, np.ndarray]]:
-        """Return the arrays of numbers of a piece, by section and name."""
+        """Return the arrays of numbers of a piece, by section and name.
+
+        Raises:
+            ValueError: Their lengths differ from the numbers of points or cells that it states.
+        """
         names = ("Points", "Cells", "Polys", "PointData", "CellData")
         found = {
             name: {a.get("Name", ""): self._values(a) for a in piece.iterfind(f"{name}/DataArray")}
             for name in names
         }
-        return {s: {n: v for n, v in part.items() if v is not None} for s, part in found.items()}
+        arrays = {s: {n: v for n, v in part.items() if v is not None} for s, part in found.items()}
+        for kind, name in (("Points", ""), ("Cells", "offsets"), ("Polys", "offsets")):
+            values = arrays[kind].get(name) if name else next(iter(arrays[kind].values()), None)
+            stated = int(piece.get(f"NumberOf{kind}") or 0)
+            if stated != (present := 0 if values is None else len(values)):
+                raise ValueError(f"it states {stated} {kind.lower()} where it has {present}")
+        return arrays
 
     def _kind(self, name: str) -> Any:
         """Return a type of numbers; None for text and others."""
