@@ -262,12 +262,10 @@ class _ExactPosterior:
         evaluation = _predict(problem, result)
         family = ShapesOnSites(approximation.field, problem.sites)
         _, fields = evaluation.linear_response(family.at(approximation.z).changes)
-        quadratic = problem.quadratic.with_data(evaluation.data)
-        quadratic.evaluations = 0
+        full = problem.full.with_data(evaluation.data)
+        full.evaluations = 0
         inflation = max(1.0, result.chi2)
-        return _ExactPosterior(
-            quadratic, family, approximation, evaluation, fields, inflation, update
-        )
+        return _ExactPosterior(full, family, approximation, evaluation, fields, inflation, update)
 
     def log_density(self, z: Float[np.ndarray, " size"]) -> float:
         """Return the logarithm of the density, up to a constant.
@@ -310,10 +308,10 @@ def _predict(problem: ShapeProblem, result: ShapeReconstruction) -> Evaluation:
         ConvergenceError: a press has no equilibrium, on the mesh or on the finer ones.
     """
     errors = problem.errors.at_least(result.errors)
-    quadratic = problem.quadratic.with_data(problem.data(errors))
+    full = problem.full.with_data(problem.data(errors))
     field, z = result.posterior.field, result.posterior.z
-    model = Model(*fit_shapes(quadratic, field, z, sites=problem.sites, max_iterations=0), errors)
-    if is_same_model(problem.quadratic.recording):
+    model = Model(*fit_shapes(full, field, z, sites=problem.sites, max_iterations=0), errors)
+    if is_same_model(problem.full.recording):
         return model.evaluation
     corrected = problem.corrected(model, np.inf)  # the parameters remain
     if corrected is model:

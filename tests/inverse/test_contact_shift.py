@@ -72,7 +72,7 @@ def test_a_search_tries_shifts_on_request() -> None:
     recording = simulate(make_phantom("uniform_cube"), plan, mesh=MESH, element="tet10")
     assert "shift" not in [e.name for e in ShapeProblem(recording, Settings()).errors.errors]
     presses = ShapeProblem(recording, Settings(), requested=["shift"])
-    levels = [e.get("shift") for _, e in presses.errors.others(presses.least_errors)]
+    levels = [e.get("shift") for _, e in presses.errors.others(presses.errors.least)]
     assert set(levels) == {None, *ContactShift.levels}
     assert presses.data({"shift": 0.1}).log_determinant > 1.0
     with pytest.raises(ConfigError, match=r"errors=shfit is unknown.*'shift'"):

@@ -1,5 +1,6 @@
 """Maps and shapes from the forces on a ball at many places, without inverse crime."""
 
+import sys
 from dataclasses import replace
 from functools import cache
 
@@ -19,7 +20,8 @@ from tactorch.inverse.forward.palpation import (
     group_places,
     is_palpation,
 )
-from tactorch.inverse.search.palpation import _Search
+from tactorch.inverse.search.base import SearchProblem
+from tactorch.inverse.search.model import Model, Proposal
 from tactorch.mesh import TetMesh, box_mesh, face_nodes
 from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Recording
 
@@ -194,14 +196,15 @@ def test_a_ball_clear_of_the_object_or_pulled_is_refused(with_lump: Recording) -
 def test_ctrl_c_keeps_the_inclusions_found_so_far(
     with_lump: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    improve = _Search.improve
+    search = sys.modules[find_shapes.__module__]
+    propose = search.propose
 
-    def interrupted(self: _Search, max_shapes: int) -> bool:
-        if self.model.fit.field.parts:
+    def interrupted(problem: SearchProblem, model: Model) -> list[Proposal]:
+        if model.fit.field.parts:
             raise KeyboardInterrupt
-        return improve(self, max_shapes)
+        return propose(problem, model)
 
-    monkeypatch.setattr(_Search, "improve", interrupted)
+    monkeypatch.setattr(search, "propose", interrupted)
     found = invert(with_lump)
     assert found.stop_reason == "interrupted"
     assert len(found.lumps) == 1

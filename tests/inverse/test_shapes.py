@@ -484,13 +484,13 @@ def test_a_correction_that_fails_leaves_the_model(recording, monkeypatch, caplog
         return [np.full(len(o.index), 0.01 * len(calls)) for o in evaluation.data.observations]
 
     monkeypatch.setattr(Correction, "offsets", offsets)
-    before = presses.quadratic.data.observations[0].values
+    before = presses.full.data.observations[0].values
     corrected = presses.corrected(model)
-    np.testing.assert_allclose(presses.quadratic.data.observations[0].values, before - 0.01)
+    np.testing.assert_allclose(presses.full.data.observations[0].values, before - 0.01)
     corrected = presses.corrected(corrected)
-    np.testing.assert_allclose(presses.quadratic.data.observations[0].values, before - 0.02)
+    np.testing.assert_allclose(presses.full.data.observations[0].values, before - 0.02)
     assert presses.corrected(corrected) is corrected
-    np.testing.assert_allclose(presses.quadratic.data.observations[0].values, before - 0.02)
+    np.testing.assert_allclose(presses.full.data.observations[0].values, before - 0.02)
     assert "not corrected: no equilibrium" in caplog.text
     calls[:] = calls[:2]
     start = Start("shifted", corrected.fit.field, corrected.fit.z + 0.3, corrected.errors)
@@ -534,7 +534,7 @@ def test_displacements_at_other_parameters_are_linearised(recording):
     model, errors = presses.uniform(), []
     for step in (0.02, 0.04):
         z = model.fit.z + step
-        exact = presses.quadratic.evaluate(
+        exact = presses.full.evaluate(
             ShapesOnSites(model.fit.field, presses.sites).at(z).youngs
         )
         pairs = zip(presses.displacements(model, z), exact.displacements, strict=True)
@@ -612,7 +612,7 @@ def test_the_posterior_of_a_ball_is_that_of_an_ellipsoid(recording):
     field = ShapeField(presses.prior, (BALL,))
     values = np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.5), np.log(5.0)])
     errors = {"pose": 0.002}
-    problem = presses.quadratic.with_data(presses.data(errors))
+    problem = presses.full.with_data(presses.data(errors))
     fit, evaluation = fit_shapes(
         problem, field, field.standard(values), sites=presses.sites, max_iterations=0
     )

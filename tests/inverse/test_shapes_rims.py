@@ -160,10 +160,10 @@ def test_errors_at_rims_are_kept_while_the_moduli_there_remain(recording, proble
 
 @pytest.mark.usefixtures("uniform")
 def test_the_search_may_take_tractions_at_rims_as_wrong(presses):
-    levels = [e.get("rims", 0.0) for _, e in presses.errors.others(presses.least_errors)]
+    levels = [e.get("rims", 0.0) for _, e in presses.errors.others(presses.errors.least)]
     assert set(levels) == {0.0, *Rims.levels}
-    small, large = (presses.data({**presses.least_errors, "rims": rims}) for rims in (0.1, 0.5))
-    assert presses.data(presses.least_errors).log_determinant < small.log_determinant
+    small, large = (presses.data({**presses.errors.least, "rims": rims}) for rims in (0.1, 0.5))
+    assert presses.data(presses.errors.least).log_determinant < small.log_determinant
     assert small.log_determinant < large.log_determinant
     whole = simulate(make_phantom("uniform_cube"), PressPlan(("z+",), (0.01,)), mesh=MESH)
     whole_presses = ShapeProblem(replace(whole, provenance={}), Settings())
@@ -186,7 +186,7 @@ def test_the_traction_of_a_sensor_is_uncertain_at_edges_of_the_body():
     measured = replace(whole, presses=tuple(replace(p, errors=errors) for p in whole.presses))
     presses = ShapeProblem(measured, Settings())
     least = {"discretisation": 0.3, "stated": 1.0, "pose": 0.001, "rims": EDGE_DEVIATION}
-    assert presses.least_errors == least
+    assert presses.errors.least == least
     levels = [errors["rims"] for _, errors in presses.errors.others(least)]
     assert [level for level in levels if level != EDGE_DEVIATION] == [0.5]
     model = presses.uniform()

@@ -87,10 +87,8 @@ def test_rods_of_the_matched_filter_have_their_volume() -> None:
 def test_a_rod_starts_as_an_ellipsoid_of_its_length_and_width() -> None:
     mesh = box_mesh((60.0, 40.0, 20.0), (6, 4, 2), tets_per_cell=5)
     field = ShapeField(ShapePrior.of(mesh, 0.1))
-    fit = ShapeFit(
-        field, np.zeros(1), np.eye(1), 1.0, 0.0, 0.0, 0.0, np.zeros(1), np.zeros((1, 1)),
-        np.zeros(1),
-    )  # fmt: skip
+    zeros = np.zeros(1)
+    fit = ShapeFit(zeros, 0.0, field, zeros, np.eye(1), np.zeros((1, 1)), zeros)
     half = 15.0 * np.array([0.6, 0.8, 0.0])
     what, longer, z = with_ball(fit, Candidate(np.array([3.0, 2.0, 1.0]), 3.0, 0.8, 50.0, half))
     assert what == "rod at [3.0, 2.0, 1.0] mm"

@@ -121,20 +121,47 @@ class _ShapesPoint(FieldPoint):
 
 
 @dataclass(frozen=True, eq=False)
-class ShapeFit:
-    """Shapes fitted to presses, with their posterior.
+class Evidence:
+    """Evidence of a model, by the Laplace approximation.
+
+    Attributes:
+        residuals: Residuals of all data.
+        complexity: Minus the logarithm of the evidence but for the residuals.
+    """
+
+    residuals: Float[np.ndarray, " data"]
+    complexity: float
+
+    @property
+    def misfit(self) -> float:
+        """Half the sum of squared residuals."""
+        return 0.5 * float(self.residuals @ self.residuals)
+
+    @property
+    def chi2(self) -> float:
+        """Mean squared residual, in standard deviations."""
+        return 2.0 * self.misfit / len(self.residuals)
+
+    def log_evidence(self, inflation: float = 1.0) -> float:
+        """Return the log-evidence where the variance of the noise is `inflation` times as large.
+
+        The determinant is that of the stated noise.
+        """
+        return -self.misfit / inflation - self.complexity
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeFit(Evidence):
+    """Shapes fitted to presses, with their posterior and evidence.
+
+    The complexity is minus the log-density of the prior, see `ShapeField.penalty`, and half the
+    logarithm of the determinants of the posterior precision and of the covariance of the data.
 
     Attributes:
         field: The family of the shapes and the prior of its parameters.
         z: Parameters, in standard deviations of the prior.
         covariance: Their posterior covariance, for the stated noise.
-        chi2: Mean squared residual, in standard deviations.
-        misfit: Half the sum of squared residuals.
-        penalty: Minus the log-density of the prior, see `ShapeField.penalty`.
-        log_determinant: Half the logarithm of the determinants of the posterior precision and of
-            the covariance of the data.
-        residuals: Residuals of all data.
-        jacobian: Their derivatives by z.
+        jacobian: Derivatives of the residuals by z.
         optimum: Parameters one Gauss-Newton step further, at which nothing is evaluated; z where
             that step is long or does not lower the objective.
     """
@@ -142,11 +169,6 @@ class ShapeFit:
     field: ShapeField
     z: Float[np.ndarray, " size"]
     covariance: Float[np.ndarray, "size size"]
-    chi2: float
-    misfit: float
-    penalty: float
-    log_determinant: float
-    residuals: Float[np.ndarray, " data"]
     jacobian: Float[np.ndarray, "data size"]
     optimum: Float[np.ndarray, " size"]
 
@@ -162,17 +184,9 @@ class ShapeFit:
         hessian = jacobian.T @ jacobian + point.penalty_curvature.toarray()
         determinant = float(np.linalg.slogdet(hessian)[1]) + evaluation.data.log_determinant
         return ShapeFit(
-            point.field.shapes, z, np.linalg.inv(hessian), evaluation.chi2,
-            0.5 * float(residuals @ residuals), point.penalty, 0.5 * determinant, residuals,
-            jacobian, z if optimum is None else optimum,
+            residuals, point.penalty + 0.5 * determinant, point.field.shapes, z,
+            np.linalg.inv(hessian), jacobian, z if optimum is None else optimum,
         )  # fmt: skip
-
-    def log_evidence(self, inflation: float = 1.0) -> float:
-        """Return the log-evidence where the variance of the noise is `inflation` times as large.
-
-        The determinant is that of the stated noise.
-        """
-        return -self.misfit / inflation - self.penalty - self.log_determinant
 
 
 def fit_shapes(

@@ -7,6 +7,7 @@ needs the sensitivities of a uniform body only, and an evaluation takes one prod
 """
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -41,10 +42,20 @@ class ReducedProblem(InverseProblem):
         vars(self).update(vars(problem))
         evaluation = problem.evaluate(np.full(problem.n_elements, youngs_mpa))
         white = evaluation.with_data(DataModel(problem.data.observations))
-        rates = white.jacobian() * (youngs_mpa / problem.data.scale[:, None])
+        rates = white.jacobian()
+        rates *= youngs_mpa / problem.data.scale[:, None]
         self.rates: Float[np.ndarray, "data m"] = rates.astype(np.float32)
         self._log_youngs = float(np.log(youngs_mpa))
         self._at_uniform = evaluation.predicted
+
+    @staticmethod
+    def joined(problem: InverseProblem, parts: Sequence["ReducedProblem"]) -> "ReducedProblem":
+        """Return the presses of a problem, each of which is linearised already."""
+        whole = copy(parts[0])
+        vars(whole).update(vars(problem))
+        whole.rates = np.concatenate([part.rates for part in parts])
+        whole._at_uniform = [values for part in parts for values in part._at_uniform]
+        return whole
 
     def evaluate(self, youngs: Moduli, *_near: Any, **_options: Any) -> "ReducedEvaluation":
         """Return all presses at these moduli; the other arguments have no effect."""

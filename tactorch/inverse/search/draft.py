@@ -3,24 +3,27 @@
 `find_shapes` corrects its predictions by finer meshes at every model that it accepts, which takes
 minutes. Here the error of the discretisation is estimated once for each press, at a uniform body,
 and subtracted from the data; a part of it stays as an error of the data. Models are balls in a
-uniform background. Each fit starts from the last one, and further balls from the matched filter.
+uniform background. Each search starts from the last one.
 """
 
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import ConvergenceError
 from tactorch.fem import NewtonOptions, SoftBody
-from tactorch.inverse.fields import ShapeField, ShapePrior
+from tactorch.inverse.data.observations import DataModel
+from tactorch.inverse.errors import ErrorModel, Levels, MeasuredPresses
+from tactorch.inverse.fields import CENTER, ShapePrior, Sites
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.starts import uniform_fit
 from tactorch.inverse.forward.problem import InverseProblem
+from tactorch.inverse.forward.reduced import ReducedProblem
+from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction
+from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.draft_errors import (
     DraftOptions,
     FinePrediction,
@@ -28,8 +31,10 @@ from tactorch.inverse.search.draft_errors import (
     PressErrors,
     with_errors,
 )
-from tactorch.inverse.search.draft_search import DraftSearch, best_model
-from tactorch.inverse.search.matched import Balls, MatchedFilter
+from tactorch.inverse.search.matched import MatchedFilter
+from tactorch.inverse.search.model import Model, Start, TimeLimit, make_posterior, with_predictions
+from tactorch.inverse.search.proposals import further, removed
+from tactorch.inverse.search.search import search
 from tactorch.recording import Recording
 from tactorch.recording.append import digest
 
@@ -42,7 +47,53 @@ class _Known(NamedTuple):
     """What is computed once for a press."""
 
     errors: PressErrors
-    responses: Float[np.ndarray, "data balls"]  # to balls of unit log-contrast, whitened by noise
+    reduced: ReducedProblem
+
+
+class _Presses(SearchProblem):
+    """The presses of one search, see `SearchProblem`; errors of their data are known."""
+
+    proposals = (further, removed)
+    tolerance = 0.2
+
+    def __init__(
+        self,
+        full: InverseProblem,
+        reduced: ReducedProblem,
+        prior: ShapePrior,
+        moved: list[Float[np.ndarray, "nodes 3"]],
+        pose_mm: float,
+        stop: Callable[[], bool],
+        max_shapes: int,
+    ) -> None:
+        super().__init__(stop, max_shapes)
+        self.full, self.reduced, self.prior = full, reduced, prior
+        self.sites = Sites.of(full.body.assembly)
+        self._reduced_sites = Sites.of(reduced.body.assembly)
+        self.matched = MatchedFilter.of(reduced)
+        self.errors = ErrorModel(MeasuredPresses(full), ())
+        self._moved, self._pose_mm = moved, pose_mm
+
+    def first(self, start: Start) -> Model:
+        """Fit the first model from the displacements of the last search."""
+        return self.fit(start, self._moved)
+
+    def data(self, errors: Levels) -> DataModel:
+        """Return the data with their errors."""
+        return self.full.data
+
+    def final(self, model: Model) -> Model:
+        """Return the model, which is exact enough."""
+        return model
+
+    def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
+        """Return the posterior, with the error of the positions of presses."""
+        posterior = make_posterior(model, self.sites)
+        covariance = posterior.covariance.copy()
+        for k in range(len(model.fit.field.families)):
+            center = posterior.field.index(k, *CENTER)
+            covariance[center, center] += (self._pose_mm / posterior.field.deviation[center]) ** 2
+        return model, replace(posterior, covariance=covariance)
 
 
 class DraftShapes:
@@ -67,7 +118,6 @@ class DraftShapes:
         self._known: dict[str, _Known] = {}
         self._moved: dict[str, np.ndarray] = {}  # displacements of each press at the last model
         self._prior: ShapePrior | None = None
-        self._balls: Balls | None = None
 
     def fit(
         self,
@@ -86,48 +136,31 @@ class DraftShapes:
             CancelledError: see `stop`.
             ConvergenceError: a press has no equilibrium at the best uniform modulus.
         """
-        search = self._prepare(recording, stop)
-        models = [search.fitted(ShapeField(search.prior), self._uniform_z(search, start))]
-        if start is not None and start.field.families:
-            with suppress(ConvergenceError):
-                models.append(search.fitted(*start.field.changed(start.z, prior=search.prior)))
-        best = best_model(models)
-        while len(best.fit.field.families) < self._options.max_shapes:
-            further = search.further(best)
-            if best_model([best, *further]) is best:
-                break
-            best = best_model([best, *further])
-        self._moved = dict(zip(search.keys, best.evaluation.displacements, strict=True))
-        return search.result(best, models[0], self._options.pose_deviation_mm)
+        limit = TimeLimit(self._settings.max_seconds, stop)
+        keys = [digest(press) for press in recording.presses]
+        model, result = search(self._prepare(recording, keys, limit), limit, start)
+        self._moved = dict(zip(keys, model.evaluation.displacements, strict=True))
+        return with_predictions(result, model, recording)
 
-    def _uniform_z(self, search: DraftSearch, start: ShapeReconstruction | None) -> np.ndarray:
-        """Return the parameter of the background from which the uniform body is fitted."""
-        if start is None:
-            return np.zeros(1)
-        log = start.field.physical(start.z)[start.field.background.level]
-        return ShapeField(search.prior).standard(np.array([log]))
-
-    def _prepare(self, recording: Recording, stop: Callable[[], bool]) -> DraftSearch:
-        linear, quadratic = self._problem(recording, "tet4"), self._problem(recording, "tet10")
-        if self._prior is None or self._balls is None:
+    def _prepare(self, recording: Recording, keys: list[str], stop: TimeLimit) -> _Presses:
+        quadratic, options = self._problem(recording, "tet10"), self._options
+        if self._prior is None:
             youngs = uniform_fit(quadratic, self._settings.bounds).youngs_mpa
             self._prior = ShapePrior.of(recording.mesh, youngs)
-            self._balls = Balls.of(recording.mesh)
         youngs = float(np.exp(self._prior.log_background))
-        keys = [digest(press) for press in recording.presses]
-        new = [k for k, key in enumerate(keys) if key not in self._known]
-        if new:
-            responses = _responses(linear, new, youngs, self._balls)
-            for k, response in zip(new, responses, strict=True):
-                self._known[keys[k]] = _Known(self._errors(quadratic, k, youngs), response)
+        for k, key in enumerate(keys):
+            if key not in self._known:
+                one = ReducedProblem(self._problem(recording.select([k]), "tet4"), youngs)
+                self._known[key] = _Known(self._errors(quadratic, k, youngs), one)
         known = [self._known[key] for key in keys]
-        errors = [one.errors for one in known]
-        problem = quadratic.with_data(with_errors(quadratic, errors, self._options))
+        linear = self._problem(recording, "tet4")
         rest = np.zeros((quadratic.body.n_nodes, 3))
-        moved = [self._moved.get(key, rest) for key in keys]
-        balls, stacked = self._balls, np.vstack([one.responses for one in known])
-        matched = MatchedFilter(balls.centers, balls.radii, balls.halves, stacked)
-        return DraftSearch(problem, self._prior, matched, moved, keys, stop)
+        return _Presses(
+            quadratic.with_data(with_errors(quadratic, [one.errors for one in known], options)),
+            ReducedProblem.joined(linear, [one.reduced for one in known]),
+            self._prior, [self._moved.get(key, rest) for key in keys], options.pose_deviation_mm,
+            stop, options.max_shapes,
+        )  # fmt: skip
 
     def _errors(self, problem: InverseProblem, k: int, youngs: float) -> PressErrors:
         observation, press = problem.data.observations[k], problem.recording.presses[k]
@@ -144,13 +177,3 @@ class DraftShapes:
         )  # fmt: skip
         self._bodies[element] = problem.body
         return problem
-
-
-def _responses(
-    problem: InverseProblem, chosen: Sequence[int], youngs: float, balls: Balls
-) -> list[np.ndarray]:
-    """Return the change of the residuals of some presses by balls of unit log-contrast."""
-    recording = problem.recording.select(chosen)
-    part = InverseProblem(recording, noise=problem.noise, body=problem.body)
-    jacobian = part.evaluate(np.full(recording.mesh.n_tets, youngs)).jacobian() * youngs
-    return np.split(jacobian @ balls.fractions, part.data.begins[1:])

@@ -12,8 +12,8 @@ from tactorch.inverse.fields import SIZE
 from tactorch.inverse.fit.shapes import ShapesOnSites
 from tactorch.inverse.posterior.ridges import Ridge, RidgePoint
 from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import MIN_GAIN, Model, Start, as_judged, gain, make_posterior
-from tactorch.inverse.search.problem import ShapeProblem
 
 _log = logging.getLogger(__name__)
 # Smallest standard deviations of the logarithms of radius and contrast with which the posterior is
@@ -31,7 +31,7 @@ _MAX_RISE = 2.5  # at the last points; that of the ends of a central 90 % interv
 _MAX_STEP, _MIN_STEP = 0.6, 0.01  # of a parameter, in standard deviations of its prior
 
 
-def final_posterior(problem: ShapeProblem, model: Model) -> tuple[Model, ShapePosterior]:
+def final_posterior(problem: SearchProblem, model: Model) -> tuple[Model, ShapePosterior]:
     """Return the posterior of a final model, and the model or one of more evidence.
 
     The posterior is that of balls that may be ellipsoids, at its best fit, which is accepted as the
@@ -54,7 +54,7 @@ def final_posterior(problem: ShapeProblem, model: Model) -> tuple[Model, ShapePo
     return model, replace(posterior, ridges=ridges)
 
 
-def follow_ridge(problem: ShapeProblem, model: Model, inclusion: int) -> Ridge:
+def follow_ridge(problem: SearchProblem, model: Model, inclusion: int) -> Ridge:
     """Return the posterior about the ridge of an inclusion of a model.
 
     It is followed from the model to both sides, to where the density has fallen by a factor of
@@ -81,7 +81,7 @@ def _is_uncertain(posterior: ShapePosterior, inclusion: int) -> bool:
     return bool((deviations[rows] > _MIN_DEVIATION).any())
 
 
-def _with_ellipsoids(problem: ShapeProblem, model: Model) -> Model:
+def _with_ellipsoids(problem: SearchProblem, model: Model) -> Model:
     """Return the model fitted with all balls as ellipsoids."""
     field, z = as_judged(model.fit.field, model.fit.z)
     if field is model.fit.field:
@@ -92,7 +92,7 @@ def _with_ellipsoids(problem: ShapeProblem, model: Model) -> Model:
 
 
 def _one_side(
-    problem: ShapeProblem,
+    problem: SearchProblem,
     model: Model,
     point: RidgePoint,
     direction: Float[np.ndarray, " size"],

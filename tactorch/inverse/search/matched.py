@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from tactorch.inverse.data.observations import DataModel
 from tactorch.inverse.fields import Candidate
-from tactorch.inverse.forward.problem import InverseProblem
+from tactorch.inverse.forward.reduced import ReducedProblem
 from tactorch.mesh import TetMesh
 
 # Candidates are on an even grid in the bounding box, whose spacing in a cube is 0.14 of its size:
@@ -129,26 +129,19 @@ class MatchedFilter:
     responses: Float[np.ndarray, "data balls"]
 
     @staticmethod
-    def of(
-        problem: InverseProblem, youngs_mpa: float, rods: Chosen | None = None
-    ) -> "MatchedFilter":
-        """Compute the responses to balls of unit log-contrast in the body.
+    def of(problem: ReducedProblem, rods: Chosen | None = None) -> "MatchedFilter":
+        """Return the responses to balls of unit log-contrast in the body, in single precision.
 
         The data of the problem have no correlated errors; see `whitened`. Where `rods` is given,
-        it returns which centres are of use, and there are rods, too; the responses are then in
-        single precision.
+        it returns which centres are of use, and there are rods, too.
         """
         mesh = problem.recording.mesh
-        jacobian = problem.evaluate(np.full(mesh.n_tets, youngs_mpa)).jacobian()
         kinds = [Balls.of(mesh)]
-        number: type[np.floating] = np.float64
         if rods is not None:
             kinds = [kinds[0].only(rods(kinds[0].centers)), *Balls.rods(mesh, rods)]
-            number = np.float32
-        turned = np.array(jacobian.T, dtype=number, order="C")
-        inside = sp.hstack([sp.csc_matrix(kind.fractions) for kind in kinds]).T.astype(number)
-        responses = np.asarray((inside.tocsr() @ turned).T) * number(youngs_mpa)
-        return MatchedFilter(*_places(kinds), responses)
+        inside = sp.hstack([sp.csc_matrix(kind.fractions) for kind in kinds], dtype=np.float32)
+        responses = np.asarray(problem.rates @ inside) * problem.data.scale[:, None]
+        return MatchedFilter(*_places(kinds), responses.astype(np.float32))
 
     def whitened(self, data: DataModel) -> "MatchedFilter":
         """Return the responses of data with errors that they have in common."""

@@ -4,16 +4,16 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from tactorch.inverse.data.observations import DataModel
 from tactorch.inverse.errors import Levels
 from tactorch.inverse.fields import FAMILIES, SIZE, Candidate, Family, ShapeField, Sites
 from tactorch.inverse.fit.monitor import StopReason
-from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites
+from tactorch.inverse.fit.shapes import Evidence, ShapeFit, ShapesOnSites
 from tactorch.inverse.forward.palpation import contacts_of
 from tactorch.inverse.forward.predictions import Predictions
 from tactorch.inverse.forward.problem import Evaluation
@@ -48,56 +48,68 @@ class Start:
     errors: Levels
 
 
-class Trial(NamedTuple):
-    """Evidence of a model that is fitted with the reduced model, or to linearised predictions."""
-
-    chi2: float
-    misfit: float
-    complexity: float  # the negative log-evidence but for the misfit
-
-    def log_evidence(self, inflation: float) -> float:
-        """Return the log-evidence where the variance of the noise is `inflation` times as large."""
-        return -self.misfit / inflation - self.complexity
-
-
 @dataclass(frozen=True, eq=False)
 class Proposal(Start):
-    """A model with the evidence of its trial."""
+    """A model with the evidence of a fit with the reduced model, or to linearised predictions.
 
-    trial: Trial
+    Attributes:
+        trial: The evidence.
+        by_errors: Gain of log-evidence by its errors of the data alone.
+    """
+
+    trial: Evidence
+    by_errors: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A model fitted with quadratic elements."""
+    """A model fitted with the full model of the presses."""
 
     fit: ShapeFit
     evaluation: Evaluation
     errors: Levels
 
 
-def gain(fit: ShapeFit, rival: ShapeFit) -> float:
+def gain(fit: Evidence, rival: Evidence, groups: Int[np.ndarray, " data"] | None = None) -> float:
     """Return the log-evidence of a fit over that of another one.
 
     They are compared at the noise of the one that explains the data better, but at least at the
-    stated noise.
+    stated noise; where data are in groups, at that of each group.
     """
-    inflation = max(1.0, min(fit.chi2, rival.chi2))
-    return fit.log_evidence(inflation) - rival.log_evidence(inflation)
+    return weighted_gain(fit, rival, noise_weights(groups, fit.residuals, rival.residuals))
 
 
-def falls_short(fit: ShapeFit, fall: float, rival: ShapeFit, margin: float = 0.0) -> bool:
+def weighted_gain(fit: Evidence, rival: Evidence, weights: Float[np.ndarray, " data"]) -> float:
+    """Return the log-evidence of a fit over that of another one, where data have weights."""
+    misfit = 0.5 * float(weights @ (rival.residuals**2 - fit.residuals**2))
+    return misfit + rival.complexity - fit.complexity
+
+
+def noise_weights(
+    groups: Int[np.ndarray, " data"] | None, *residuals: Float[np.ndarray, " data"]
+) -> Float[np.ndarray, " data"]:
+    """Return one over the least chi2 of each group of data (None for one group), at most one."""
+    if groups is None:
+        groups = np.zeros(len(residuals[0]), dtype=int)
+    counts = np.maximum(np.bincount(groups), 1)
+    chi2 = np.min([np.bincount(groups, r**2) / counts for r in residuals], axis=0)
+    return np.asarray((1.0 / np.maximum(chi2, 1.0))[groups])
+
+
+def falls_short(
+    fit: ShapeFit, fall: float, rival: ShapeFit, groups: Int[np.ndarray, " data"] | None = None
+) -> bool:
     """Return whether a fit will have less evidence than another one.
 
     Args:
         fit: The fit.
         fall: Largest fall of the objective that is expected of it.
         rival: The other one.
-        margin: Log-evidence by which it will have less.
+        groups: See `gain`.
     """
-    misfit = max(0.0, fit.misfit - fall)
-    best = replace(fit, misfit=misfit, chi2=2.0 * misfit / len(fit.residuals))
-    return gain(best, rival) < -margin
+    remaining = max(0.0, 1.0 - fall / max(fit.misfit, 1e-300))
+    best = replace(fit, residuals=np.sqrt(remaining) * fit.residuals)
+    return gain(best, rival, groups) < 0.0
 
 
 class StopSearch(Exception):  # noqa: N818  (a signal, not an error)

@@ -1,25 +1,28 @@
-"""Proposals of the search for shapes: models that may be better than the present one."""
+"""Proposals of a search for inclusions: models that may be better than the present one."""
 
 import logging
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from tactorch.inverse.errors import Levels
 from tactorch.inverse.fields.family import families_beyond
+from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import (
     DEGREES,
     MIN_CANDIDATE_GAIN,
-    MIN_GAIN,
     Model,
     Proposal,
     Start,
     moderate,
+    noise_weights,
     varied,
+    weighted_gain,
     with_ball,
     with_family,
     without,
 )
-from tactorch.inverse.search.problem import ShapeProblem
 from tactorch.linalg import map_cases
 
 _log = logging.getLogger(__name__)
@@ -28,36 +31,45 @@ _LAYERS = 8  # largest wave number of layers: half a wave is an eighth of the bo
 _SAME = 2.0  # distance of centres, in radii, below which two starts are of the same ball: touching
 
 
-def propose(problem: ShapeProblem, model: Model, max_shapes: int) -> list[Proposal]:
+def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
     """Return models that seem better than the present one, the best first.
 
-    Whether they are better is judged at the noise of the one that explains the data best: at the
-    noise that the present model would need, small differences are lost. They are ordered by their
-    evidence at the latter, which prefers an inclusion to large errors of the forces that explain
-    as much.
+    They are ordered by their evidence at the noise that the present model would need, which prefers
+    an inclusion to large errors of the forces that explain as much. A model with other errors
+    beside a change of the map has to be better than the present map with these errors.
     """
     fit = model.fit
-    starts = list(_starts(problem, model, max_shapes))
-    proposals = [*_with_other_errors(problem, model), *_fitted(problem, model, starts)]
-    inflation = max(1.0, min([fit.chi2, *(p.trial.chi2 for p in proposals)]))
-    gains = [p.trial.log_evidence(inflation) - fit.log_evidence(inflation) for p in proposals]
-    ranks = [p.trial.log_evidence(max(1.0, fit.chi2)) for p in proposals]
-    for proposal, gain in zip(proposals, gains, strict=True):
-        chi2 = proposal.trial.chi2
-        _log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", proposal.what, chi2, gain)
-    order = np.argsort(ranks)[::-1]
-    return [proposals[k] for k in order if gains[k] > MIN_GAIN]
+    starts = [start for source in problem.proposals for start in source(problem, model)]
+    by_errors = {_key(p.errors): p for p in _with_other_errors(problem, model)}
+    proposals, gains = list(by_errors.values()), {}
+    for proposal in _fitted(problem, model, starts):
+        other = by_errors.get(_key(proposal.errors))
+        least = max(0.0, problem.gain(other.trial, fit)) if other else 0.0
+        proposals.append(replace(proposal, by_errors=least))
+    for proposal in proposals:
+        gains[proposal] = problem.gain(proposal.trial, fit)
+        what, chi2 = proposal.what, proposal.trial.chi2
+        _log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", what, chi2, gains[proposal])
+    weights = noise_weights(problem.groups, fit.residuals)
+    better = [p for p in proposals if gains[p] > p.by_errors + problem.min_gain]
+    return sorted(better, key=lambda p: -weighted_gain(p.trial, fit, weights))
 
 
-def _fitted(problem: ShapeProblem, model: Model, starts: Sequence[Start]) -> list[Proposal]:
+def _key(errors: Levels) -> frozenset[tuple[str, float]]:
+    return frozenset(errors.items())
+
+
+def _fitted(problem: SearchProblem, model: Model, starts: Sequence[Start]) -> list[Proposal]:
     """Return starts fitted with the reduced model, several at once.
 
-    Those with a further inclusion are fitted one after the other, as a start inside a ball that was
-    fitted already would lead to it again.
+    Those with a further inclusion are fitted one after the other for each errors of the data, as a
+    start inside a ball that was fitted already would lead to it again.
     """
     offsets, count = problem.offsets(model), len(model.fit.field.families)
-    further = [start for start in starts if len(start.field.families) > count]
-    others = [start for start in starts if len(start.field.families) <= count]
+    chains: dict[object, list[Start]] = {}
+    for start in starts:
+        adds = len(start.field.families) > count
+        chains.setdefault(_key(start.errors) if adds else start.what, []).append(start)
 
     def fit(start: Start) -> Proposal:
         trial, z = problem.try_model(start, offsets)
@@ -72,12 +84,11 @@ def _fitted(problem: ShapeProblem, model: Model, starts: Sequence[Start]) -> lis
                 found.append(fit(start))
         return found
 
-    chains = [further, *([start] for start in others)]
-    parts = map_cases(lambda k: fit_in_turn(chains[k]), len(chains))
+    parts = map_cases(lambda k: fit_in_turn([*chains.values()][k]), len(chains))
     return [proposal for part in parts for proposal in part]
 
 
-def _with_other_errors(problem: ShapeProblem, model: Model) -> Iterator[Proposal]:
+def _with_other_errors(problem: SearchProblem, model: Model) -> Iterator[Proposal]:
     """Yield the model with other errors of the data; the fits are linearised."""
     fit = model.fit
     jacobian = problem.jacobian(model)
@@ -86,34 +97,47 @@ def _with_other_errors(problem: ShapeProblem, model: Model) -> Iterator[Proposal
         yield Proposal(what, fit.field, fit.z, errors, trial)
 
 
-def _starts(problem: ShapeProblem, model: Model, max_shapes: int) -> Iterator[Start]:
-    field, z, errors = model.fit.field, model.fit.z, model.errors
-    if len(field.families) < max_shapes:
-        yield from _further(problem, model)
+def further(problem: SearchProblem, model: Model) -> Iterator[Start]:
+    """Yield the model with a further inclusion, at the places where it would explain most.
+
+    Where the misfit is large for some groups of data it hides others: all data are seen alike at
+    first, and then each by its weight.
+    """
+    fit = model.fit
+    if len(fit.field.families) >= problem.max_shapes:
+        return
+    white, jacobian = problem.raw(model).residuals, problem.jacobian(model)
+    for errors in problem.error_levels(model):
+        data, matched = problem.data(errors), problem.filter(errors)
+        residuals, explained = data.whiten(white), data.whiten(jacobian)
+        found = matched.best(residuals, explained, _STARTS)
+        if problem.groups is not None:
+            weights = np.sqrt(noise_weights(problem.groups, residuals))
+            found += matched.best(residuals, explained, _STARTS, weights)
+        for candidate in found:
+            if candidate.gain >= MIN_CANDIDATE_GAIN:
+                yield Start(*with_ball(fit, candidate), errors)
+
+
+def backgrounds(problem: SearchProblem, model: Model) -> Iterator[Start]:
+    """Yield the model with a background of the next degree."""
+    fit = model.fit
     for degree in DEGREES:
-        if degree > field.background.degree:
-            yield Start(f"background of degree {degree}", *varied(field, z, degree=degree), errors)
-            break
-    if not any(field.background.layers):
-        yield from _layers(problem, model)
-    if field.families and len(field.background.waves):
-        # Inclusions may explain what the background was found to vary for.
-        uniform = varied(field, z, degree=0, layers=(0, 0, 0))
-        yield Start("uniform background", *uniform, errors)
-    for k, family in enumerate(field.families):
-        # A further part of the model, or further presses, may explain what it was found for.
-        yield Start(f"inclusion {k} removed", *without(field, z, [k]), errors)
-        for other in families_beyond(family):
-            yield Start(f"inclusion {k} as {other.noun}", *with_family(field, z, k, other), errors)
+        if degree > fit.field.background.degree:
+            varying = varied(fit.field, fit.z, degree=degree)
+            yield Start(f"background of degree {degree}", *varying, model.errors)
+            return
 
 
-def _layers(problem: ShapeProblem, model: Model) -> Iterator[Start]:
+def layers(problem: SearchProblem, model: Model) -> Iterator[Start]:
     """Yield the model with layers across the axis that explains most, by linearised fits."""
+    if any(model.fit.field.background.layers):
+        return
     inflation = max(1.0, model.fit.chi2)
     best, best_evidence = None, model.fit.log_evidence(inflation)
     for axis in range(3):
-        layers = tuple(_LAYERS if k == axis else 0 for k in range(3))
-        field, z = varied(model.fit.field, model.fit.z, layers=layers)
+        numbers = tuple(_LAYERS if k == axis else 0 for k in range(3))
+        field, z = varied(model.fit.field, model.fit.z, layers=numbers)
         jacobian = problem.coarse_jacobian(model, field, z)
         trial = problem.linearised(model, z, jacobian, model.errors)
         if trial.log_evidence(inflation) > best_evidence:
@@ -123,18 +147,37 @@ def _layers(problem: ShapeProblem, model: Model) -> Iterator[Start]:
         yield best
 
 
-def _further(problem: ShapeProblem, model: Model) -> Iterator[Start]:
-    """Yield the model with a further ball, at the places where it would explain most."""
-    fit, data = model.fit, problem.data(model.errors)
-    for candidate in problem.matched.whitened(data).best(fit.residuals, fit.jacobian, _STARTS):
-        if candidate.gain < MIN_CANDIDATE_GAIN:
-            return
-        yield Start(*with_ball(fit, candidate), model.errors)
+def uniform_background(problem: SearchProblem, model: Model) -> Iterator[Start]:
+    """Yield the model with a uniform background, as inclusions may explain what it varied for."""
+    field, z = model.fit.field, model.fit.z
+    if field.families and len(field.background.waves):
+        uniform = varied(field, z, degree=0, layers=(0, 0, 0))
+        yield Start("uniform background", *uniform, model.errors)
+
+
+def removed(problem: SearchProblem, model: Model) -> Iterator[Start]:
+    """Yield the model without each inclusion.
+
+    A further part of the model, or further presses, may explain what it was found for.
+    """
+    fit = model.fit
+    for k in range(len(fit.field.families)):
+        yield Start(f"inclusion {k} removed", *without(fit.field, fit.z, [k]), model.errors)
+
+
+def changed(problem: SearchProblem, model: Model) -> Iterator[Start]:
+    """Yield the model with each inclusion of a family with more parameters."""
+    fit = model.fit
+    for k, family in enumerate(fit.field.families):
+        for other in families_beyond(family):
+            what = f"inclusion {k} as {other.noun}"
+            yield Start(what, *with_family(fit.field, fit.z, k, other), model.errors)
 
 
 def _is_inside(start: Start, proposal: Proposal) -> bool:
-    """Whether both are with a further ball, whose centres are near each other."""
-    field = proposal.field
-    first, last = (one.field.own(field.physical(one.z), -1) for one in (start, proposal))
+    """Whether both have a further inclusion of the same family, with centres near each other."""
+    if start.field.families[-1] is not proposal.field.families[-1]:
+        return False
+    first, last = (one.field.own(one.field.physical(one.z), -1) for one in (start, proposal))
     apart = np.linalg.norm(first.center - last.center)
     return bool(apart < _SAME * np.exp(last.log_radius))

@@ -23,22 +23,20 @@ from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.forward.palpation import is_palpation
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
-from tactorch.inverse.search.final_posterior import final_posterior
+from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import (
     MAX_LOG_ODDS,
-    MIN_GAIN,
     Model,
     Proposal,
     Start,
     TimeLimit,
-    gain,
     improve,
     record,
     unexplained,
     with_predictions,
     without,
 )
-from tactorch.inverse.search.palpation import find_palpation_shapes
+from tactorch.inverse.search.palpation import PalpationSearch
 from tactorch.inverse.search.problem import ShapeProblem, is_same_model
 from tactorch.inverse.search.proposals import propose
 from tactorch.inverse.search.sizing import refined_at_contacts
@@ -48,7 +46,6 @@ from tactorch.recording import Recording
 _log = logging.getLogger(__name__)
 _MAX_SHAPES = 4
 _MAX_MODELS = 10  # one after the other
-_MAX_FITS = 3  # with quadratic elements, of proposals from one model
 
 
 def find_shapes(
@@ -94,33 +91,39 @@ def find_shapes(
     for name in set(errors) - set(known):
         raise ConfigError(unknown_choice("errors", name, known))
     limit = TimeLimit(settings.max_seconds, stop)
-    if is_palpation(recording):
-        return find_palpation_shapes(
-            recording, settings, max_shapes=max_shapes, max_models=_MAX_MODELS, limit=limit
-        )
-    refined = recording if is_same_model(recording) else refined_at_contacts(recording)
     with progress_line("search for inclusions") as update:
         update("elements at the contacts")
-        problem = ShapeProblem(refined, settings, limit, kept, errors)
-        model, result = _search(problem, start, max_shapes, update, limit)
+        problem: SearchProblem
+        if is_palpation(recording):
+            problem = PalpationSearch(recording, settings, limit, max_shapes)
+        else:
+            refined = recording if is_same_model(recording) else refined_at_contacts(recording)
+            problem = ShapeProblem(refined, settings, limit, kept, errors, max_shapes)
+        model, result = search(problem, limit, start, update)
         return with_predictions(result, model, recording)
 
 
-def _search(
-    problem: ShapeProblem,
-    start: ShapeReconstruction | ShapeState | None,
-    max_shapes: int,
-    update: Callable[[str], None],
+def search(
+    problem: SearchProblem,
     limit: TimeLimit,
+    start: ShapeReconstruction | ShapeState | None = None,
+    update: Callable[[str], None] = lambda what: None,
 ) -> tuple[Model, ShapeReconstruction]:
-    """Accept models of more evidence until there is none; return the last one, and the result."""
+    """Accept models of more evidence until there is none; return the last one, and the result.
+
+    Args:
+        problem: The presses.
+        limit: Limit of the time, see `improve`.
+        start: See `find_shapes`.
+        update: Called with what is done next.
+    """
     update("first model")
     model, history = _first(problem, start)
 
     def step(number: int) -> bool:
         nonlocal model
         update(f"model {number}, predictions of proposals")
-        proposals = propose(problem, model, max_shapes)
+        proposals = propose(problem, model)
         update(f"model {number}")
         if (accepted := _accept(problem, model, proposals)) is None:
             return False
@@ -134,7 +137,7 @@ def _search(
         update("final fit")
         model = _final(problem, model)
         update("posterior")
-        best, posterior = final_posterior(problem, model)
+        best, posterior = problem.posterior(model)
         if best is not model:
             history.append(record("balls as ellipsoids", best.fit))
         result = _result(problem, best, posterior, history)
@@ -144,7 +147,7 @@ def _search(
         raise
 
 
-def _final(problem: ShapeProblem, model: Model) -> Model:
+def _final(problem: SearchProblem, model: Model) -> Model:
     """Return the model fitted closely, or as it is where this fails."""
     try:
         return problem.final(model)
@@ -154,20 +157,20 @@ def _final(problem: ShapeProblem, model: Model) -> Model:
 
 
 def _result(
-    problem: ShapeProblem, model: Model, posterior: ShapePosterior, history: list[dict[str, Any]]
+    problem: SearchProblem, model: Model, posterior: ShapePosterior, history: list[dict[str, Any]]
 ) -> ShapeReconstruction:
     fit = model.fit
     history.append(record("final fit", fit))
     _log.info("final fit: chi2 %.4g", fit.chi2)
     return ShapeReconstruction(
         fit.field, fit.optimum, posterior, fit.chi2,
-        *_log_odds(problem, model), model.errors, unexplained(fit, problem.quadratic.data),
+        *_log_odds(problem, model), model.errors, unexplained(fit, problem.full.data),
         tuple(history),
     )  # fmt: skip
 
 
 def _first(
-    problem: ShapeProblem, before: ShapeReconstruction | ShapeState | None
+    problem: SearchProblem, before: ShapeReconstruction | ShapeState | None
 ) -> tuple[Model, list[dict[str, Any]]]:
     """Fit the model of an earlier result, or where there is none a uniform body."""
     what, model = "uniform", None
@@ -184,20 +187,20 @@ def _first(
 
 
 def _accept(
-    problem: ShapeProblem, model: Model, proposals: list[Proposal]
+    problem: SearchProblem, model: Model, proposals: list[Proposal]
 ) -> tuple[Proposal, Model] | None:
-    """Fit proposals with quadratic elements until one has more evidence than the model."""
-    for proposal in proposals[:_MAX_FITS]:
+    """Fit proposals with the full model until one has more evidence than the model."""
+    for proposal in proposals[: problem.max_fits]:
         with suppress(ConvergenceError), progress_line(proposal.what):
             trial = problem.challenge(proposal, model)
-            change = gain(trial.fit, model.fit)
+            change = problem.gain(trial.fit, model.fit)
             _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)
-            if change > MIN_GAIN:
+            if change > proposal.by_errors + problem.min_gain:
                 return proposal, trial
     return None
 
 
-def _log_odds(problem: ShapeProblem, model: Model) -> tuple[tuple[float, ...], float]:
+def _log_odds(problem: SearchProblem, model: Model) -> tuple[tuple[float, ...], float]:
     """Return the log-evidence of a model over those without an inclusion, or without any."""
     fit, offsets = model.fit, problem.offsets(model)
     inflation, count = max(1.0, fit.chi2), len(fit.field.parts)

@@ -56,8 +56,8 @@ def reconstruct(presses: ShapeProblem, model: Model) -> ShapeReconstruction:
 def result(recording):
     presses = ShapeProblem(recording, Settings())
     field = ShapeField(presses.prior, (BALL,))
-    fit = fit_shapes(presses.quadratic, field, field.standard(VALUES), sites=presses.sites)
-    return reconstruct(presses, Model(*fit, presses.least_errors))
+    fit = fit_shapes(presses.full, field, field.standard(VALUES), sites=presses.sites)
+    return reconstruct(presses, Model(*fit, presses.errors.least))
 
 
 def quantities(values: InclusionValues) -> dict[str, np.ndarray]:
@@ -110,8 +110,8 @@ def uncertain(recording):
 def fitted_ball(presses):
     problem = ShapeProblem(presses, Settings())
     field = ShapeField(problem.prior, (BALL,))
-    fit = fit_shapes(problem.quadratic, field, field.standard(VALUES), sites=problem.sites)
-    return presses, problem, Model(*fit, problem.least_errors)
+    fit = fit_shapes(problem.full, field, field.standard(VALUES), sites=problem.sites)
+    return presses, problem, Model(*fit, problem.errors.least)
 
 
 def test_the_ridge_has_the_optima_of_held_parameters(uncertain):
@@ -130,7 +130,7 @@ def test_the_ridge_has_the_optima_of_held_parameters(uncertain):
     )
     scale = np.sqrt(max(1.0, around.fit.chi2))
     for point, height in zip(ridge.points, heights, strict=True):
-        evaluation = problem.quadratic.evaluate(family.at(point.z).youngs)
+        evaluation = problem.full.evaluate(family.at(point.z).youngs)
         residuals = evaluation.residuals / scale
         actual = 0.5 * (residuals @ residuals + point.z @ point.z)
         assert height == pytest.approx(actual, abs=0.1)
@@ -268,7 +268,7 @@ def test_the_predictions_are_those_of_the_search(recording, monkeypatch):
     presses = ShapeProblem(other, Settings())
     displacements = presses.uniform().evaluation.displacements
     field = ShapeField(presses.prior, (BALL,))
-    errors = {**presses.least_errors, "forces": 0.02, "pose": 0.002}
+    errors = {**presses.errors.least, "forces": 0.02, "pose": 0.002}
     start = Start("ball", field, field.standard(VALUES), errors)
     model = presses.final(presses.fit(start, displacements))
     result = reconstruct(presses, model)

@@ -1,0 +1,295 @@
+"""The presses of a search for inclusions: predictions, data with their errors, fits and trials."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from threading import Lock
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from tactorch.errors import CancelledError
+from tactorch.inverse.data.observations import DataModel
+from tactorch.inverse.errors import ErrorModel, Levels
+from tactorch.inverse.fields import ShapeField, ShapePrior, Sites
+from tactorch.inverse.fit.shapes import Evidence, ShapeFit, ShapesOnSites, fit_shapes
+from tactorch.inverse.forward.problem import Evaluation, InverseProblem
+from tactorch.inverse.forward.reduced import ReducedProblem
+from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
+from tactorch.inverse.search.matched import MatchedFilter
+from tactorch.inverse.search.model import MIN_GAIN, Model, Start, falls_short, gain
+
+_OPTIMISM = 1.5  # falls of the objective over those of its quadratic model, at best
+_TRIAL_STEPS = 8  # of Gauss-Newton with the reduced model
+# Tolerances of fits: within one standard deviation of the optimum, and a sixth of the gain by which
+# models are accepted; and within a fifth of a standard deviation, for the last fit.
+ROUGH, FINE = 0.5, 0.02
+
+
+class Proposals(Protocol):
+    """A source of models that may be better than the present one."""
+
+    def __call__(self, problem: "SearchProblem", model: Model) -> Iterable[Start]:
+        """Yield models to be fitted with the reduced model of a problem."""
+
+
+class SearchProblem(ABC):
+    """The presses of a search, and what differs between searches.
+
+    Args:
+        stop: Called before each step of a fit and each equilibrium of a correction, by one thread
+            at a time; once it is true they raise `CancelledError`.
+        max_shapes: Largest number of inclusions.
+
+    Attributes:
+        full: The presses with the elements by which models are judged.
+        sites: Volumes of the quadrature points of these elements.
+        reduced: The presses with predictions about a uniform body, with which models are tried.
+        matched: Matched filter for inclusions.
+        prior: Prior of the parameters of inclusions.
+        errors: Errors of the data that occur.
+        proposals: Sources of models.
+        max_shapes: Largest number of inclusions.
+        max_fits: Largest number of proposals from one model that are fitted with `full`.
+        tolerance: Of fits, see `fit_shapes`.
+        min_gain: Gain of log-evidence by which a model is accepted.
+    """
+
+    full: InverseProblem
+    sites: Sites
+    reduced: ReducedProblem
+    matched: MatchedFilter
+    prior: ShapePrior
+    errors: ErrorModel
+    proposals: Sequence[Proposals]
+    max_fits: ClassVar[int] = 3
+    tolerance: ClassVar[float] = ROUGH
+    min_gain: float = MIN_GAIN
+    _reduced_sites: Sites
+
+    def __init__(self, stop: Callable[[], bool] = lambda: False, max_shapes: int = 0) -> None:
+        self.max_shapes = max_shapes
+        self._stop, self._is_stopped, self._lock = stop, False, Lock()
+
+    @abstractmethod
+    def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
+        """Return the posterior of a final model, and the model or one of more evidence."""
+
+    def final(self, model: Model) -> Model:
+        """Return the model fitted closely."""
+        return self._fit_further(model, "final", FINE)
+
+    def precise(self, model: Model) -> Model:
+        """Return an accepted model with predictions as exact as the search needs them."""
+        return model
+
+    def first(self, start: Start) -> Model:
+        """Fit the first model of a search.
+
+        Raises:
+            ConvergenceError: it has no equilibrium under the recorded forces.
+        """
+        return self.fit(start, None)
+
+    def uniform(self) -> Model:
+        """Fit the uniform body."""
+        return self.first(self._uniform)
+
+    @property
+    def _uniform(self) -> Start:
+        return Start("uniform", ShapeField(self.prior), np.zeros(1), self.errors.least)
+
+    def continued(self, result: ShapeReconstruction | ShapeState) -> Start:
+        """Return the model of a search on other presses of the same object."""
+        field, z = result.field.changed(result.z, prior=self.prior)
+        return Start("the model before", field, z, self.errors.at_least(result.errors))
+
+    def gain(self, fit: Evidence, rival: Evidence) -> float:
+        """Return the log-evidence of a fit over that of another one, see `gain`."""
+        return gain(fit, rival, self.groups)
+
+    @property
+    def groups(self) -> Int[np.ndarray, " data"] | None:
+        """Group of each datum, in each of which a model may fail for itself; None for one group."""
+        return None
+
+    def filter(self, errors: Levels) -> MatchedFilter:
+        """Return the matched filter for data with these errors."""
+        return self.matched.whitened(self.data(errors))
+
+    def error_levels(self, model: Model) -> Iterator[Levels]:
+        """Yield the errors with which further inclusions are proposed, those of the model first."""
+        yield model.errors
+
+    def fit(
+        self,
+        start: Start,
+        displacements: Sequence[Float[np.ndarray, "nodes 3"]] | None,
+        tolerance: float | None = None,
+        held: Float[np.ndarray, " size"] | None = None,
+        evaluation: Evaluation | None = None,
+    ) -> Model:
+        """Fit with the full model, from these displacements or the equilibria of an evaluation.
+
+        See `fit_shapes` for `held` and `evaluation`.
+        """
+        self._check()
+        problem = self.full.with_data(self.data(start.errors))
+        fit = fit_shapes(
+            problem, start.field, start.z, sites=self.sites, starts=displacements,
+            evaluation=evaluation, tolerance=tolerance or self.tolerance, held=held,
+            give_up=self._never,
+        )  # fmt: skip
+        return Model(*fit, start.errors)
+
+    def challenge(self, start: Start, model: Model) -> Model:
+        """Fit a proposal with the full model, as far as it may have more evidence than a model.
+
+        A fit that will hardly have more ends early: before its first step, whose gain is predicted
+        by the derivatives of the reduced model, or between steps.
+        """
+        self._check()
+        problem = self.full.with_data(self.data(start.errors))
+
+        def is_worse(fit: ShapeFit, fall: float) -> bool:
+            self._check()
+            return falls_short(fit, _OPTIMISM * fall, model.fit, self.groups)
+
+        family = ShapesOnSites(start.field, self.sites)
+        z = np.clip(start.z, *family.limits)
+        evaluation = problem.evaluate(family.at(z).youngs, starts=model.evaluation.displacements)
+        first = Model(self._coarse_fit(start, z, evaluation), evaluation, start.errors)
+        if is_worse(first.fit, _predicted_fall(first.fit)):
+            return first
+        fit = fit_shapes(
+            problem, start.field, z, sites=self.sites, evaluation=evaluation,
+            tolerance=self.tolerance, give_up=is_worse,
+        )  # fmt: skip
+        return Model(*fit, start.errors)
+
+    def _coarse_fit(
+        self, start: Start, z: Float[np.ndarray, " size"], evaluation: Evaluation
+    ) -> ShapeFit:
+        """Return a fit of the full model with derivatives of the reduced model."""
+        point = ShapesOnSites(start.field, self._reduced_sites).at(z)
+        coarse = self.reduced.evaluate(point.youngs).with_data(evaluation.data)
+        return ShapeFit.at(point, evaluation, point.jacobian(coarse))
+
+    def _fit_further(self, model: Model, what: str, tolerance: float | None) -> Model:
+        """Return a model fitted again to the present data, from its equilibria."""
+        start = Start(what, model.fit.field, model.fit.z, model.errors)
+        return self.fit(start, None, tolerance, evaluation=model.evaluation)
+
+    def displacements(
+        self, model: Model, z: Float[np.ndarray, " size"]
+    ) -> list[Float[np.ndarray, "nodes 3"]]:
+        """Return the displacements (mm) of a model with other parameters, linearised about it."""
+        changes = ShapesOnSites(model.fit.field, self.sites).at(model.fit.z).changes
+        _, fields = model.evaluation.linear_response(changes)
+        step = z - model.fit.z
+        return model.evaluation.moved([np.tensordot(step, field, 1) for field in fields])
+
+    def try_model(self, start: Start, offsets: list[np.ndarray]) -> tuple[Evidence, np.ndarray]:
+        """Return the evidence and the parameters of a fit with the reduced model.
+
+        Args:
+            start: Model and parameters to start from.
+            offsets: See `offsets`.
+        """
+        self._check()
+        problem = self.reduced.with_data(self.data(start.errors).shifted(offsets))
+        fit, _ = fit_shapes(
+            problem, start.field, start.z, sites=self._reduced_sites,
+            max_iterations=_TRIAL_STEPS, tolerance=FINE, give_up=self._never,
+        )  # fmt: skip
+        return Evidence(fit.residuals, fit.complexity), fit.z
+
+    def offsets(self, model: Model) -> list[np.ndarray]:
+        """Return predictions of the reduced model less those of the full one at a model."""
+        pairs = zip(self._coarse(model).predicted, model.evaluation.predicted, strict=True)
+        return [reduced - full for reduced, full in pairs]
+
+    def jacobian(self, model: Model) -> Float[np.ndarray, "data size"]:
+        """Return the derivatives of the residuals of white noise by a model's parameters."""
+        field = ShapesOnSites(model.fit.field, self.sites)
+        return field.at(model.fit.z).jacobian(self.raw(model))
+
+    def coarse_jacobian(
+        self, model: Model, field: ShapeField, z: Float[np.ndarray, " size"]
+    ) -> Float[np.ndarray, "data size"]:
+        """Return the derivatives of the residuals of white noise, by the reduced model.
+
+        Args:
+            model: The model.
+            field: A field, maybe with further parameters.
+            z: Its parameters, for which its map is that of the model.
+        """
+        coarse = self._coarse(model).with_data(self._white)
+        return ShapesOnSites(field, self._reduced_sites).at(z).jacobian(coarse)
+
+    def _coarse(self, model: Model) -> Evaluation:
+        """Return the predictions of the reduced model."""
+        field = ShapesOnSites(model.fit.field, self._reduced_sites).at(model.fit.z)
+        return self.reduced.evaluate(field.youngs)
+
+    def linearised(
+        self,
+        model: Model,
+        z: Float[np.ndarray, " size"],
+        jacobian: Float[np.ndarray, "data size"],
+        errors: Levels,
+    ) -> Evidence:
+        """Return the evidence of a linearised model with these errors of the data.
+
+        Args:
+            model: The model about which it is linearised.
+            z: Parameters for which its map is that of the model.
+            jacobian: Their derivatives, see `jacobian`.
+            errors: Levels of the data.
+        """
+        data, inflation = self.data(errors), max(1.0, model.fit.chi2)
+        residuals, columns = data.whiten(self.raw(model).residuals), data.whiten(jacobian)
+        hessian = columns.T @ columns
+        gradient = columns.T @ residuals / inflation + z
+        step = -np.linalg.solve(hessian / inflation + np.eye(len(z)), gradient)
+        residuals, z = residuals + columns @ step, z + step
+        logs = np.linalg.slogdet(hessian + np.eye(len(z)))[1] + data.log_determinant
+        return Evidence(residuals, 0.5 * float(z @ z + logs))
+
+    def _linearise(self, start: Start) -> Any:
+        """Compute the effects of errors of the data about a model."""
+        youngs = ShapesOnSites(start.field, self.sites).at(start.z).youngs
+        self.errors.linearise(self.full.evaluate(youngs), "linear")
+
+    def _never(self, fit: ShapeFit, fall: float) -> bool:
+        """Return that a fit is not given up, unless the search is stopped."""
+        self._check()
+        return False
+
+    def _check(self) -> None:
+        with self._lock:  # presses are solved in threads, each of which ends at its next check
+            self._is_stopped = self._is_stopped or self._stop()
+        if self._is_stopped:
+            raise CancelledError("The search for inclusions was stopped before it had a result.")
+
+    def raw(self, model: Model) -> Evaluation:
+        """Return the predictions of a model with the residuals of white noise."""
+        return model.evaluation.with_data(self._white)
+
+    @property
+    def _white(self) -> DataModel:
+        return replace(self.full.data, correlated=None)
+
+    def data(self, errors: Levels) -> DataModel:
+        """Return the data with these errors, about a uniform body where there is no model yet."""
+        if self.errors.lacks(errors):
+            self._linearise(self._uniform)
+        return self.errors.data(errors)
+
+
+def _predicted_fall(fit: ShapeFit) -> float:
+    """Return the fall of the objective by a Gauss-Newton step."""
+    gradient = fit.jacobian.T @ fit.residuals + fit.z
+    return 0.5 * float(gradient @ fit.covariance @ gradient)
