@@ -19,10 +19,18 @@ from tactorch.inverse.forward.reduced import ReducedProblem
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
 from tactorch.inverse.search.matched import MatchedFilter
-from tactorch.inverse.search.model import MIN_GAIN, Model, Start, falls_short, gain
+from tactorch.inverse.search.model import (
+    MIN_GAIN,
+    Model,
+    Start,
+    falls_short,
+    gain,
+    with_ball,
+)
 
 _OPTIMISM = 1.5  # falls of the objective over those of its quadratic model, at best
 _TRIAL_STEPS = 8  # of Gauss-Newton with the reduced model
+_QUICK_STARTS = 2  # fits of an inclusion for a provisional answer
 # Tolerances of fits: within one standard deviation of the optimum, and a sixth of the gain by which
 # models are accepted; and within a fifth of a standard deviation, for the last fit.
 ROUGH, FINE = 0.5, 0.02
@@ -76,6 +84,28 @@ class SearchProblem(ABC):
     @abstractmethod
     def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
         """Return the posterior of a final model, and the model or one of more evidence."""
+
+    def provisional(self) -> ShapeFit:
+        """Return a quick answer by the reduced model: a further inclusion in a uniform body.
+
+        It is the uniform body where none raises the evidence by enough. Errors of the data beside
+        white noise, and of the reduced model, are not taken into account.
+        """
+        problem = self.reduced.with_data(self._white)
+
+        def fitted(field: ShapeField, z: Float[np.ndarray, " size"]) -> ShapeFit:
+            return fit_shapes(
+                problem, field, z, sites=self._reduced_sites, max_iterations=_TRIAL_STEPS,
+                give_up=self._never,
+            )[0]  # fmt: skip
+
+        best = uniform = fitted(self._uniform.field, self._uniform.z)
+        for candidate in self.matched.best(uniform.residuals, uniform.jacobian, _QUICK_STARTS):
+            _, field, z = with_ball(uniform, candidate)
+            fit = fitted(field, z)
+            if self.gain(fit, best) > (self.min_gain if best is uniform else 0.0):
+                best = fit
+        return best
 
     def final(self, model: Model) -> Model:
         """Return the model fitted closely."""

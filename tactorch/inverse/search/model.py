@@ -54,11 +54,11 @@ class Proposal(Start):
 
     Attributes:
         trial: The evidence.
-        by_errors: Gain of log-evidence by its errors of the data alone.
+        least_gain: Gain of log-evidence for which it is accepted.
     """
 
     trial: Evidence
-    by_errors: float = 0.0
+    least_gain: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,17 +41,19 @@ def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
     fit = model.fit
     starts = [start for source in problem.proposals for start in source(problem, model)]
     by_errors = {_key(p.errors): p for p in _with_other_errors(problem, model)}
-    proposals, gains = list(by_errors.values()), {}
-    for proposal in _fitted(problem, model, starts):
-        other = by_errors.get(_key(proposal.errors))
-        least = max(0.0, problem.gain(other.trial, fit)) if other else 0.0
-        proposals.append(replace(proposal, by_errors=least))
-    for proposal in proposals:
-        gains[proposal] = problem.gain(proposal.trial, fit)
+    better: list[Proposal] = []
+    for proposal in (*by_errors.values(), *_fitted(problem, model, starts)):
+        gain, least = problem.gain(proposal.trial, fit), problem.min_gain
+        other = by_errors.get(_key(proposal.errors), proposal)
+        if other is not proposal:
+            least += max(0.0, problem.gain(other.trial, fit))
+        if len(proposal.field.families) < len(fit.field.families):
+            least = 0.0  # of two models that explain as much it is the simpler one
         what, chi2 = proposal.what, proposal.trial.chi2
-        _log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", what, chi2, gains[proposal])
+        _log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", what, chi2, gain)
+        if gain > least:
+            better.append(replace(proposal, least_gain=least))
     weights = noise_weights(problem.groups, fit.residuals)
-    better = [p for p in proposals if gains[p] > p.by_errors + problem.min_gain]
     return sorted(better, key=lambda p: -weighted_gain(p.trial, fit, weights))
 
 

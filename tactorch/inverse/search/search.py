@@ -20,6 +20,7 @@ from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.inverse.errors import ERRORS
 from tactorch.inverse.errors.kept import KeptRims
 from tactorch.inverse.fit.settings import Settings
+from tactorch.inverse.fit.shapes import ShapeFit
 from tactorch.inverse.forward.palpation import is_palpation
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
@@ -117,6 +118,7 @@ def search(
         start: See `find_shapes`.
         update: Called with what is done next.
     """
+    _log.info("provisional: %s; the search goes on", _in_words(problem.provisional()))
     update("first model")
     model, history = _first(problem, start)
 
@@ -145,6 +147,17 @@ def search(
     except CancelledError as error:
         error.reached = ShapeState(model.fit.field, model.fit.z, model.errors)
         raise
+
+
+def _in_words(fit: ShapeFit) -> str:
+    if not fit.field.families:
+        return "no lump stands out"
+    (shape,) = fit.field.shapes(fit.z)
+    center = ", ".join(f"{x:.1f}" for x in shape.center_mm)
+    return (
+        f"a lump at ({center}) mm, of the volume of a ball of {shape.radius_mm:.1f} mm radius, "
+        f"with {shape.contrast:.2g} times the modulus around it"
+    )
 
 
 def _final(problem: SearchProblem, model: Model) -> Model:
@@ -195,7 +208,7 @@ def _accept(
             trial = problem.challenge(proposal, model)
             change = problem.gain(trial.fit, model.fit)
             _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)
-            if change > proposal.by_errors + problem.min_gain:
+            if change > proposal.least_gain:
                 return proposal, trial
     return None
 

@@ -1,0 +1,91 @@
+"""The one search: provisional answers, sources of proposals and what models are compared by."""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactorch.inverse import Settings, find_shapes
+from tactorch.inverse.fit.shapes import Evidence
+from tactorch.inverse.search.draft import DraftOptions, DraftShapes
+from tactorch.inverse.search.model import gain, noise_weights
+from tactorch.inverse.search.problem import ShapeProblem
+from tactorch.inverse.search.proposals import propose
+from tactorch.mesh import box_mesh
+from tactorch.phantoms import make_phantom
+from tactorch.recording import Recording
+from tactorch.simulation import PressPlan, simulate
+
+MESH = box_mesh(10.0, 4, tets_per_cell=5)
+PLAN = PressPlan(("z+", "x+"), (0.01, 0.02))
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    """Presses on a ball of radius 2.5 mm and 1 MPa at (5, 5, 6) mm, from a finer other mesh."""
+    phantom = make_phantom("cube_sphere", depth=0.4, radius=0.25)
+    fine = phantom.mesh(1.5, conforming=True)
+    return simulate(phantom, PLAN, mesh=MESH, fine_mesh=fine, element="tet10", snr_db=40.0)
+
+
+@pytest.fixture(scope="module")
+def uniform() -> Recording:
+    """Presses on a body without an inclusion."""
+    return simulate(make_phantom("uniform_cube"), PLAN, mesh=MESH, element="tet4", snr_db=30.0)
+
+
+def test_a_provisional_answer_comes_first(
+    recording: Recording, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO):
+        find_shapes(recording, Settings(max_seconds=1e-3))
+    messages = [record.getMessage() for record in caplog.records]
+    first = next(k for k, text in enumerate(messages) if text.startswith("provisional: a lump at"))
+    assert first < next(k for k, text in enumerate(messages) if text.startswith("uniform: chi2"))
+    (shape,) = (fit := ShapeProblem(recording, Settings()).provisional()).field.shapes(fit.z)
+    assert shape.center_mm == pytest.approx((5.0, 5.0, 6.0), abs=0.5)
+    assert shape.radius_mm == pytest.approx(2.5, rel=0.25)
+
+
+def test_no_provisional_lump_where_there_is_none(uniform: Recording) -> None:
+    # Predictions of linear elements, so that errors of the discretisation are no structure.
+    same = replace(uniform, provenance={"inverse_crime": True, "element": "tet4"})
+    assert not ShapeProblem(same, Settings()).provisional().field.families
+
+
+def test_further_inclusions_are_proposed_up_to_the_limit(recording: Recording) -> None:
+    for limit, expected in ((0, 0), (1, 1)):
+        problem = ShapeProblem(recording, Settings(), max_shapes=limit)
+        proposals = propose(problem, problem.uniform())
+        assert max(len(p.field.families) for p in proposals) == expected
+        gains = [problem.gain(p.trial, problem.uniform().fit) for p in proposals]
+        assert min(gains) > problem.min_gain
+
+
+def test_groups_that_no_model_explains_count_less() -> None:
+    rng = np.random.default_rng(0)
+    groups, noise = np.repeat([0, 1], 50), rng.standard_normal(100)
+    noise /= np.sqrt(np.mean(noise**2))
+    wrong = np.where(groups == 1, 30.0, 1.0) * noise  # the second group is off by 30
+    weights = noise_weights(groups, wrong, 2.0 * wrong)
+    assert weights[groups == 0] == pytest.approx(1.0 / max(1.0, np.mean(noise[:50] ** 2)))
+    assert weights[groups == 1] == pytest.approx(1.0 / np.mean(wrong[50:] ** 2))
+    better = wrong - 0.5 * np.where(groups == 0, noise, 0.0)
+    change = gain(Evidence(better, 1.0), Evidence(wrong, 0.0), groups)
+    squares = float(np.sum(wrong[:50] ** 2 - better[:50] ** 2))
+    assert change == pytest.approx(0.5 * squares - 1.0, rel=0.2)
+    assert change > 10.0 * (gain(Evidence(better, 1.0), Evidence(wrong, 0.0)) + 1.0)
+
+
+def test_a_session_gives_up_a_ball_that_further_presses_contradict(
+    recording: Recording,
+) -> None:
+    options = DraftOptions(model_deviation=0.01)
+    found = DraftShapes(options=options).fit(recording)
+    assert len(found.field.families) == 1
+    body = make_phantom("uniform_cube")
+    presses = simulate(body, PLAN, mesh=MESH, element="tet10", snr_db=30.0)
+    after = DraftShapes(options=options).fit(presses, start=found)
+    assert not after.field.families
+    assert after.history[0]["model"] == "the model before"
