@@ -246,47 +246,10 @@ class SearchProblem(ABC):
         field = ShapesOnSites(model.fit.field, self.sites)
         return field.at(model.fit.z).jacobian(self.raw(model))
 
-    def coarse_jacobian(
-        self, model: Model, field: ShapeField, z: Float[np.ndarray, " size"]
-    ) -> Float[np.ndarray, "data size"]:
-        """Return the derivatives of the residuals of white noise, by the reduced model.
-
-        Args:
-            model: The model.
-            field: A field, maybe with further parameters.
-            z: Its parameters, for which its map is that of the model.
-        """
-        coarse = self._coarse(model).with_data(self._white)
-        return ShapesOnSites(field, self._reduced_sites).at(z).jacobian(coarse)
-
     def _coarse(self, model: Model) -> Evaluation:
         """Return the predictions of the reduced model."""
         field = ShapesOnSites(model.fit.field, self._reduced_sites).at(model.fit.z)
         return self.reduced.evaluate(field.youngs)
-
-    def linearised(
-        self,
-        model: Model,
-        z: Float[np.ndarray, " size"],
-        jacobian: Float[np.ndarray, "data size"],
-        errors: Levels,
-    ) -> Evidence:
-        """Return the evidence of a linearised model with these errors of the data.
-
-        Args:
-            model: The model about which it is linearised.
-            z: Parameters for which its map is that of the model.
-            jacobian: Their derivatives, see `jacobian`.
-            errors: Levels of the data.
-        """
-        data, inflation = self.data(errors), max(1.0, model.fit.chi2)
-        residuals, columns = data.whiten(self.raw(model).residuals), data.whiten(jacobian)
-        hessian = columns.T @ columns
-        gradient = columns.T @ residuals / inflation + z
-        step = -np.linalg.solve(hessian / inflation + np.eye(len(z)), gradient)
-        residuals, z = residuals + columns @ step, z + step
-        logs = np.linalg.slogdet(hessian + np.eye(len(z)))[1] + data.log_determinant
-        return Evidence(residuals, 0.5 * float(z @ z + logs))
 
     def _linearise(self, start: Start) -> Any:
         """Compute the effects of errors of the data about a model."""

@@ -25,7 +25,7 @@ from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.matched import MatchedFilter
 from tactorch.inverse.search.model import Model, Start, make_posterior
-from tactorch.inverse.search.proposals import backgrounds, changed, further
+from tactorch.inverse.search.proposals import backgrounds, changed, further, other_errors
 from tactorch.recording import Recording
 
 _SEARCHED = "tet4"  # elements of the search; the result is fitted with better ones
@@ -48,7 +48,7 @@ class PalpationSearch(SearchProblem):
     """
 
     full: PalpationProblem
-    proposals = (further, backgrounds, changed)
+    proposals = (other_errors, further, backgrounds, changed)
     max_fits = 5
 
     def __init__(

@@ -30,6 +30,7 @@ from tactorch.inverse.search.proposals import (
     changed,
     further,
     layers,
+    other_errors,
     removed,
     uniform_background,
 )
@@ -62,7 +63,7 @@ class ShapeProblem(SearchProblem):
         linear: The presses with linear elements.
     """
 
-    proposals = (further, backgrounds, layers, uniform_background, removed, changed)
+    proposals = (other_errors, further, backgrounds, layers, uniform_background, removed, changed)
 
     def __init__(
         self,

@@ -38,13 +38,12 @@ def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
     an inclusion to large errors of the forces that explain as much. A model with other errors
     beside a change of the map has to be better than the present map with these errors.
     """
-    fit = model.fit
-    starts = [start for source in problem.proposals for start in source(problem, model)]
-    by_errors = {_key(p.errors): p for p in _with_other_errors(problem, model)}
+    fit, proposals = model.fit, _fitted(problem, model)
+    same_map = {_key(p.errors): p for p in proposals if p.field is fit.field}
     better: list[Proposal] = []
-    for proposal in (*by_errors.values(), *_fitted(problem, model, starts)):
+    for proposal in proposals:
         gain, least = problem.gain(proposal.trial, fit), problem.min_gain
-        other = by_errors.get(_key(proposal.errors), proposal)
+        other = same_map.get(_key(proposal.errors), proposal)
         if other is not proposal:
             least += max(0.0, problem.gain(other.trial, fit))
         if len(proposal.field.families) < len(fit.field.families):
@@ -61,15 +60,15 @@ def _key(errors: Levels) -> frozenset[tuple[str, float]]:
     return frozenset(errors.items())
 
 
-def _fitted(problem: SearchProblem, model: Model, starts: Sequence[Start]) -> list[Proposal]:
-    """Return starts fitted with the reduced model, several at once.
+def _fitted(problem: SearchProblem, model: Model) -> list[Proposal]:
+    """Return all proposals fitted with the reduced model, several at once.
 
     Those with a further inclusion are fitted one after the other for each errors of the data, as a
     start inside a ball that was fitted already would lead to it again.
     """
     offsets, count = problem.offsets(model), len(model.fit.field.families)
     chains: dict[object, list[Start]] = {}
-    for start in starts:
+    for start in (start for source in problem.proposals for start in source(problem, model)):
         adds = len(start.field.families) > count
         chains.setdefault(_key(start.errors) if adds else start.what, []).append(start)
 
@@ -90,13 +89,10 @@ def _fitted(problem: SearchProblem, model: Model, starts: Sequence[Start]) -> li
     return [proposal for part in parts for proposal in part]
 
 
-def _with_other_errors(problem: SearchProblem, model: Model) -> Iterator[Proposal]:
-    """Yield the model with other errors of the data; the fits are linearised."""
-    fit = model.fit
-    jacobian = problem.jacobian(model)
+def other_errors(problem: SearchProblem, model: Model) -> Iterator[Start]:
+    """Yield the model with other errors of the data."""
     for what, errors in problem.errors.others(model.errors):
-        trial = problem.linearised(model, fit.z, jacobian, errors)
-        yield Proposal(what, fit.field, fit.z, errors, trial)
+        yield Start(what, model.fit.field, model.fit.z, errors)
 
 
 def further(problem: SearchProblem, model: Model) -> Iterator[Start]:
@@ -132,21 +128,12 @@ def backgrounds(problem: SearchProblem, model: Model) -> Iterator[Start]:
 
 
 def layers(problem: SearchProblem, model: Model) -> Iterator[Start]:
-    """Yield the model with layers across the axis that explains most, by linearised fits."""
-    if any(model.fit.field.background.layers):
-        return
-    inflation = max(1.0, model.fit.chi2)
-    best, best_evidence = None, model.fit.log_evidence(inflation)
-    for axis in range(3):
-        numbers = tuple(_LAYERS if k == axis else 0 for k in range(3))
-        field, z = varied(model.fit.field, model.fit.z, layers=numbers)
-        jacobian = problem.coarse_jacobian(model, field, z)
-        trial = problem.linearised(model, z, jacobian, model.errors)
-        if trial.log_evidence(inflation) > best_evidence:
-            best = Start(f"layers across {'xyz'[axis]}", field, z, model.errors)
-            best_evidence = trial.log_evidence(inflation)
-    if best:
-        yield best
+    """Yield the model with layers across each axis."""
+    if not any(model.fit.field.background.layers):
+        for axis in range(3):
+            numbers = tuple(_LAYERS if k == axis else 0 for k in range(3))
+            layered = varied(model.fit.field, model.fit.z, layers=numbers)
+            yield Start(f"layers across {'xyz'[axis]}", *layered, model.errors)
 
 
 def uniform_background(problem: SearchProblem, model: Model) -> Iterator[Start]:

@@ -47,6 +47,7 @@ from tactorch.recording import Recording
 _log = logging.getLogger(__name__)
 _MAX_SHAPES = 4
 _MAX_MODELS = 10  # one after the other
+_MANY = 10.0  # contrast beyond which a provisional answer states none
 
 
 def find_shapes(
@@ -154,9 +155,10 @@ def _in_words(fit: ShapeFit) -> str:
         return "no lump stands out"
     (shape,) = fit.field.shapes(fit.z)
     center = ", ".join(f"{x:.1f}" for x in shape.center_mm)
+    times = f"{shape.contrast:.2g} times" if shape.contrast < _MANY else "many times"
     return (
         f"a lump at ({center}) mm, of the volume of a ball of {shape.radius_mm:.1f} mm radius, "
-        f"with {shape.contrast:.2g} times the modulus around it"
+        f"with {times} the modulus around it"
     )
 
 
