@@ -534,9 +534,7 @@ def test_displacements_at_other_parameters_are_linearised(recording):
     model, errors = presses.uniform(), []
     for step in (0.02, 0.04):
         z = model.fit.z + step
-        exact = presses.full.evaluate(
-            ShapesOnSites(model.fit.field, presses.sites).at(z).youngs
-        )
+        exact = presses.full.evaluate(ShapesOnSites(model.fit.field, presses.sites).at(z).youngs)
         pairs = zip(presses.displacements(model, z), exact.displacements, strict=True)
         errors.append(max(np.abs(a - b).max() for a, b in pairs))
         change = np.subtract(exact.displacements, model.evaluation.displacements)

@@ -1,9 +1,10 @@
-"""Presses linearised in the logarithms of the moduli about a uniform body: a reduced model.
+"""Presses linearised in the logarithms of the moduli about a body: a reduced model.
 
 An inclusion of contrast c in a uniform strain changes the far field by its volume times (c - 1) /
 (c + 3/2) (Eshelby, 1957, for nearly incompressible bodies), which for contrasts of up to five is
 2/5 log c within 3 %. The Born approximation in log E is therefore much better than that in E. It
-needs the sensitivities of a uniform body only, and an evaluation takes one product of matrices.
+needs the sensitivities of one body only, such as a uniform one, and an evaluation takes one product
+of matrices.
 """
 
 from collections.abc import Sequence
@@ -31,22 +32,26 @@ class ReducedProblem(InverseProblem):
 
     Args:
         problem: The presses.
-        youngs_mpa: Modulus of the uniform body about which they are linearised.
+        evaluation: Its presses at the moduli of elements about which they are linearised.
 
     Attributes:
         rates: Derivatives of the data by the logarithm of the modulus of each element, in their
             units (mm, N or N mm), in single precision.
     """
 
-    def __init__(self, problem: InverseProblem, youngs_mpa: float) -> None:
+    def __init__(self, problem: InverseProblem, evaluation: Evaluation) -> None:
         vars(self).update(vars(problem))
-        evaluation = problem.evaluate(np.full(problem.n_elements, youngs_mpa))
         white = evaluation.with_data(DataModel(problem.data.observations))
-        rates = white.jacobian()
-        rates *= youngs_mpa / problem.data.scale[:, None]
+        means, rates = _means(evaluation.youngs), white.jacobian()
+        rates *= means / problem.data.scale[:, None]
         self.rates: Float[np.ndarray, "data m"] = rates.astype(np.float32)
-        self._log_youngs = float(np.log(youngs_mpa))
-        self._at_uniform = evaluation.predicted
+        self._log_youngs = np.log(means)
+        self._at_reference = evaluation.predicted
+
+    @staticmethod
+    def about_uniform(problem: InverseProblem, youngs_mpa: float) -> "ReducedProblem":
+        """Return the presses about a uniform body."""
+        return ReducedProblem(problem, problem.evaluate(np.full(problem.n_elements, youngs_mpa)))
 
     @staticmethod
     def joined(problem: InverseProblem, parts: Sequence["ReducedProblem"]) -> "ReducedProblem":
@@ -54,7 +59,7 @@ class ReducedProblem(InverseProblem):
         whole = copy(parts[0])
         vars(whole).update(vars(problem))
         whole.rates = np.concatenate([part.rates for part in parts])
-        whole._at_uniform = [values for part in parts for values in part._at_uniform]
+        whole._at_reference = [values for part in parts for values in part._at_reference]
         return whole
 
     def evaluate(self, youngs: Moduli, *_near: Any, **_options: Any) -> "ReducedEvaluation":
@@ -66,7 +71,7 @@ class ReducedProblem(InverseProblem):
         """Return the predicted data of each press, in their units."""
         changes = np.log(_means(youngs)) - self._log_youngs
         moved = np.split((self.rates @ changes.astype(np.float32)).astype(np.float64), self._ends)
-        return [a + b for a, b in zip(self._at_uniform, moved, strict=True)]
+        return [a + b for a, b in zip(self._at_reference, moved, strict=True)]
 
     @property
     def _ends(self) -> Sequence[int]:

@@ -25,6 +25,7 @@ from tactorch.inverse.search.model import (
     Start,
     falls_short,
     gain,
+    less,
     with_ball,
 )
 
@@ -174,18 +175,19 @@ class SearchProblem(ABC):
         )  # fmt: skip
         return Model(*fit, start.errors)
 
-    def challenge(self, start: Start, model: Model) -> Model:
+    def challenge(self, start: Start, model: Model, margin: float = 0.0) -> Model:
         """Fit a proposal with the full model, as far as it may have more evidence than a model.
 
-        A fit that will hardly have more ends early: before its first step, whose gain is predicted
-        by the derivatives of the reduced model, or between steps.
+        A fit that will hardly have more, or less by no more than a margin, ends early: before its
+        first step, whose gain is predicted by the derivatives of the reduced model, or between
+        steps.
         """
         self._check()
         problem = self.full.with_data(self.data(start.errors))
 
         def is_worse(fit: ShapeFit, fall: float) -> bool:
             self._check()
-            return falls_short(fit, _OPTIMISM * fall, model.fit, self.groups)
+            return falls_short(fit, _OPTIMISM * fall, model.fit, self.groups, margin)
 
         family = ShapesOnSites(start.field, self.sites)
         z = np.clip(start.z, *family.limits)
@@ -235,6 +237,10 @@ class SearchProblem(ABC):
             max_iterations=_TRIAL_STEPS, tolerance=FINE, give_up=self._never,
         )  # fmt: skip
         return Evidence(fit.residuals, fit.complexity), fit.z
+
+    def without(self, model: Model, removed: Sequence[int]) -> Evidence:
+        """Return the evidence of a final model without some inclusions, by the reduced model."""
+        return self.try_model(less(model, removed), self.offsets(model))[0]
 
     def offsets(self, model: Model) -> list[np.ndarray]:
         """Return predictions of the reduced model less those of the full one at a model."""

@@ -150,7 +150,9 @@ class DraftShapes:
         youngs = float(np.exp(self._prior.log_background))
         for k, key in enumerate(keys):
             if key not in self._known:
-                one = ReducedProblem(self._problem(recording.select([k]), "tet4"), youngs)
+                one = ReducedProblem.about_uniform(
+                    self._problem(recording.select([k]), "tet4"), youngs
+                )
                 self._known[key] = _Known(self._errors(quadratic, k, youngs), one)
         known = [self._known[key] for key in keys]
         linear = self._problem(recording, "tet4")

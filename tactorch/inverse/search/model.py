@@ -97,7 +97,11 @@ def noise_weights(
 
 
 def falls_short(
-    fit: ShapeFit, fall: float, rival: ShapeFit, groups: Int[np.ndarray, " data"] | None = None
+    fit: ShapeFit,
+    fall: float,
+    rival: ShapeFit,
+    groups: Int[np.ndarray, " data"] | None = None,
+    margin: float = 0.0,
 ) -> bool:
     """Return whether a fit will have less evidence than another one.
 
@@ -106,10 +110,11 @@ def falls_short(
         fall: Largest fall of the objective that is expected of it.
         rival: The other one.
         groups: See `gain`.
+        margin: Log-evidence by which it will have less.
     """
     remaining = max(0.0, 1.0 - fall / max(fit.misfit, 1e-300))
     best = replace(fit, residuals=np.sqrt(remaining) * fit.residuals)
-    return gain(best, rival, groups) < 0.0
+    return gain(best, rival, groups) < -margin
 
 
 class StopSearch(Exception):  # noqa: N818  (a signal, not an error)
@@ -232,6 +237,13 @@ def varied(
 ) -> tuple[ShapeField, np.ndarray]:
     """Return the model with more modes of the background, which start at zero."""
     return field.changed(z, background=replace(field.background, **background))
+
+
+def less(model: Model, removed: Sequence[int]) -> Start:
+    """Return a model without some of its inclusions."""
+    field, z = without(model.fit.field, model.fit.z, removed)
+    numbers = ", ".join(map(str, removed))
+    return Start(f"inclusion {numbers} removed", field, z, model.errors)
 
 
 def without(

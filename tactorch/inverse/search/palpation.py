@@ -6,7 +6,7 @@ the contact is not modelled. The body is linear, so that predictions need no cor
 contacts (see `tactorch.fem.indentation`).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -19,12 +19,14 @@ from tactorch.inverse.errors import ERRORS, ErrorModel, Levels, MeasuredPresses
 from tactorch.inverse.errors.smooth_forces import border_distances, correlation_length
 from tactorch.inverse.fields import ShapePrior, Sites
 from tactorch.inverse.fit.settings import Settings
+from tactorch.inverse.fit.shapes import Evidence
 from tactorch.inverse.forward.palpation import PALPATION_ELEMENT, PalpationProblem
+from tactorch.inverse.forward.problem import Evaluation
 from tactorch.inverse.forward.reduced import ReducedProblem
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.matched import MatchedFilter
-from tactorch.inverse.search.model import Model, Start, make_posterior
+from tactorch.inverse.search.model import Model, Start, less, make_posterior
 from tactorch.inverse.search.proposals import backgrounds, changed, further, other_errors
 from tactorch.recording import Recording
 
@@ -33,6 +35,7 @@ _TOLERANCE = 0.05  # of the last fit
 # Of the log-evidence, over the presses of a place, for a model that is accepted: the errors of
 # these presses are not independent.
 _MIN_GAIN = 10.0
+_CERTAIN = 20.0  # log-odds beyond which they need not be known
 _OUTSIDE_MM = 1.0  # standard deviation of the length of inclusions outside the object
 _DEEPEST = 1.0  # centre of an inclusion, over the correlation length of smooth errors
 
@@ -62,11 +65,10 @@ class PalpationSearch(SearchProblem):
         self._recording, self._settings = recording, settings
         self._use(_SEARCHED)
         self._reduced_sites = self.sites
-        self.reduced = ReducedProblem(self.full, self.full.contact_mpa)
-        self.matched = MatchedFilter.of(self.reduced, self._are_resolved)
+        uniform = np.full(self.full.n_elements, self.full.contact_mpa)
+        self._linearise_about(self.full.evaluate(uniform))
         prior = ShapePrior.of(recording.mesh, self.full.contact_mpa)
         self.prior = replace(prior, outside_mm=_OUTSIDE_MM)
-        self._filters: dict[DataModel, MatchedFilter] = {}
         places = len(self.full.indentation.places)
         self.min_gain = _MIN_GAIN * len(recording.presses) / places
 
@@ -80,6 +82,19 @@ class PalpationSearch(SearchProblem):
         self.sites = Sites.of(self.full.body.assembly)
         self.errors = ErrorModel(MeasuredPresses(self.full), ERRORS)
 
+    def _linearise_about(self, evaluation: Evaluation) -> None:
+        self.reduced = ReducedProblem(self.full, evaluation)
+        self.matched = MatchedFilter.of(self.reduced, self._are_resolved)
+        self._filters: dict[DataModel, MatchedFilter] = {}
+
+    def precise(self, model: Model) -> Model:
+        """Return an accepted model, about which the reduced model is linearised.
+
+        A body with stiff inclusions hardly responds to what would stiffen them further.
+        """
+        self._linearise_about(model.evaluation)
+        return model
+
     def final(self, model: Model) -> Model:
         """Return the model fitted closely with better elements."""
         before, fit = self.full.contact_mpa, model.fit
@@ -88,6 +103,14 @@ class PalpationSearch(SearchProblem):
         # Linear elements are too stiff under the balls.
         z[level] += np.log(self.full.contact_mpa / before) / fit.field.deviation[level]
         return self.fit(Start("final fit", fit.field, z, model.errors), None, _TOLERANCE)
+
+    def without(self, model: Model, removed: Sequence[int]) -> Evidence:
+        """Return the evidence of a final model without some inclusions.
+
+        It is that of a fit with `full`, as the reduced model is linearised about the inclusions,
+        which ends where it is certain that the model has much more.
+        """
+        return self.challenge(less(model, removed), model, _CERTAIN).fit
 
     def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
         """Return the posterior of a model."""

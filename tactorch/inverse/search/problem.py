@@ -109,7 +109,7 @@ class ShapeProblem(SearchProblem):
         self.errors = ErrorModel(presses, ERRORS, requested)
         self._corrected_at: ShapeFit | None = None
         youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
-        self.reduced = ReducedProblem(self.linear, youngs)
+        self.reduced = ReducedProblem.about_uniform(self.linear, youngs)
         self.matched = MatchedFilter.of(self.reduced)
         self.prior = ShapePrior.of(recording.mesh, youngs)
         self._floored = noise.floored(recording)

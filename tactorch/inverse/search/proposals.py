@@ -15,13 +15,13 @@ from tactorch.inverse.search.model import (
     Model,
     Proposal,
     Start,
+    less,
     moderate,
     noise_weights,
     varied,
     weighted_gain,
     with_ball,
     with_family,
-    without,
 )
 from tactorch.linalg import map_cases
 
@@ -149,9 +149,8 @@ def removed(problem: SearchProblem, model: Model) -> Iterator[Start]:
 
     A further part of the model, or further presses, may explain what it was found for.
     """
-    fit = model.fit
-    for k in range(len(fit.field.families)):
-        yield Start(f"inclusion {k} removed", *without(fit.field, fit.z, [k]), model.errors)
+    for k in range(len(model.fit.field.families)):
+        yield less(model, [k])
 
 
 def changed(problem: SearchProblem, model: Model) -> Iterator[Start]:

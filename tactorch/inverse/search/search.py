@@ -29,13 +29,11 @@ from tactorch.inverse.search.model import (
     MAX_LOG_ODDS,
     Model,
     Proposal,
-    Start,
     TimeLimit,
     improve,
     record,
     unexplained,
     with_predictions,
-    without,
 )
 from tactorch.inverse.search.palpation import PalpationSearch
 from tactorch.inverse.search.problem import ShapeProblem, is_same_model
@@ -217,14 +215,12 @@ def _accept(
 
 def _log_odds(problem: SearchProblem, model: Model) -> tuple[tuple[float, ...], float]:
     """Return the log-evidence of a model over those without an inclusion, or without any."""
-    fit, offsets = model.fit, problem.offsets(model)
-    inflation, count = max(1.0, fit.chi2), len(fit.field.parts)
+    fit, count = model.fit, len(model.fit.field.parts)
+    inflation = max(1.0, fit.chi2)
 
     def over(removed: Sequence[int]) -> float:
-        start = Start(f"without {removed}", *without(fit.field, fit.z, removed), model.errors)
-        trial, _ = problem.try_model(start, offsets)
-        odds = fit.log_evidence(inflation) - trial.log_evidence(inflation)
-        return min(odds, MAX_LOG_ODDS)
+        rival = problem.without(model, removed)
+        return min(fit.log_evidence(inflation) - rival.log_evidence(inflation), MAX_LOG_ODDS)
 
     each = tuple(over([k]) for k in range(count))
     return each, (each[0] if count == 1 else over(range(count)) if count else 0.0)
