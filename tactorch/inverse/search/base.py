@@ -63,6 +63,7 @@ class SearchProblem(ABC):
         max_shapes: Largest number of inclusions.
         max_fits: Largest number of proposals from one model that are fitted with `full`.
         tolerance: Of fits, see `fit_shapes`.
+        trial_share: Part of the least gain that a trial with the reduced model has to promise.
         min_gain: Gain of log-evidence by which a model is accepted.
     """
 
@@ -75,6 +76,7 @@ class SearchProblem(ABC):
     proposals: Sequence[Proposals]
     max_fits: ClassVar[int] = 3
     tolerance: ClassVar[float] = ROUGH
+    trial_share: ClassVar[float] = 1.0
     min_gain: float = MIN_GAIN
     _reduced_sites: Sites
 

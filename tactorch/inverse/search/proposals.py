@@ -50,7 +50,7 @@ def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
             least = 0.0  # of two models that explain as much it is the simpler one
         what, chi2 = proposal.what, proposal.trial.chi2
         _log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", what, chi2, gain)
-        if gain > least:
+        if gain > problem.trial_share * least:
             better.append(replace(proposal, least_gain=least))
     weights = noise_weights(problem.groups, fit.residuals)
     return sorted(better, key=lambda p: -weighted_gain(p.trial, fit, weights))
