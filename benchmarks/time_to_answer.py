@@ -4,11 +4,13 @@
         [--out FOLDER]
 
 The recordings are those of `true_objects.py` (solved on other, finer meshes): whole sides, nine
-patches, a dome under fingers, and patches that are misplaced by 0.3 mm. Each is inverted in a
-separate process, by the package of this checkout, and with `--before` also by that of another
-one, one after the other. `cpu` is the processor time of the process, `seconds` the elapsed time,
-both of `find_shapes` alone; `GiB` is the largest memory. Stages of the search are those that it
-logs, with the processor time at their end. `centre` is the distance of the first inclusion's centre
+patches, a dome under fingers, and patches that are misplaced by 0.3 mm; a robot's palpation of two
+nodules (589 probes, where the data of the folder TACTORCH_SHARED or ../shared exist), and a
+simulated one of 2,304 probes (`simulated_palpation.py`). Each is inverted in a separate process, by
+the package of this checkout, and with `--before` also by that of another one, one after the other.
+`cpu` is the processor time of the process, `seconds` the elapsed time, both of `find_shapes` alone,
+`first` that to the provisional answer; `GiB` is the largest memory. Stages of the search are those
+that it logs, with the processor time at their end. `centre` is the distance of the first inclusion's centre
 (mm), `E` and `R` its modulus and radius over those of the object, and `in 90 %` whether these are
 within their intervals. The last line printed is one JSON object.
 """
@@ -31,11 +33,13 @@ CASES = {
     "patches": "ball-patches-40db",
     "fingers": "dome-fingers-40db",
     "misplaced": "ball-patches-40db-places",
+    "palpation": "two-nodules",
+    "probes": "simulated_palpation",
 }
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
 HEADER = """\
-| case | version | cpu | seconds | GiB | chi2 | centre | E | R | in 90 % |
-|---|---|---|---|---|---|---|---|---|---|"""
+| case | version | cpu | seconds | first | GiB | chi2 | lumps | centre | E | R | in 90 % |
+|---|---|---|---|---|---|---|---|---|---|---|---|"""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -69,29 +73,47 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def run(name: str, checkout: Path, cache: Path | None) -> dict[str, Any]:
     """Invert the recording of a case by a checkout, in another process, and score the result."""
-    from true_cases import CASES as OBJECTS
-    from true_cases import make_recording
-
-    case = next(case for case in OBJECTS if case.name == CASES[name])
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "recording.h5"
-        make_recording(case, cache).save(path)
+        recording, truth = make(name, cache)
+        recording.save(path)
         command = [sys.executable, __file__, "--invert", str(checkout), str(path)]
         done = subprocess.run(command, stdout=subprocess.PIPE, check=True, text=True)
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return found | score(case, found["inclusions"])
+    return found | (score(*truth, found["inclusions"]) if truth else {})
 
 
-def score(case: Any, inclusions: list[dict[str, Any]]) -> dict[str, Any]:
+def make(name: str, cache: Path | None) -> tuple[Any, tuple[Any, float, float] | None]:
+    """Return the recording of a case; centre (mm), modulus (MPa) and radius (mm) if known."""
+    if name == "palpation":
+        from tactorch.importers import import_palpation
+
+        shared = Path(os.environ.get("TACTORCH_SHARED", ROOT.parent / "shared"))
+        table = shared / "data" / "robot-palpation" / f"{CASES[name]}.csv"
+        return import_palpation(table, depth_mm=8.0), None
+    if name == "probes":
+        from simulated_palpation import CENTER, LUMP, RADIUS, simulated_palpation
+
+        return simulated_palpation(), (CENTER, LUMP, RADIUS)
+    from true_cases import CASES as OBJECTS
+    from true_cases import Truth, make_recording
+
+    case = next(case for case in OBJECTS if case.name == CASES[name])
+    truth = Truth.of(case.body)
+    center = truth.points[truth.lumps == 1].mean(axis=0)
+    known = center, float(truth.lump_moduli_mpa[0]), float(truth.lump_radii_mm[0])
+    return make_recording(case, cache), known
+
+
+def score(
+    center: Any, youngs: float, radius: float, inclusions: list[dict[str, Any]]
+) -> dict[str, Any]:
     """Return the errors of the first inclusion; none without one."""
     import numpy as np
-    from true_cases import Truth
 
     if not inclusions:
         return {}
-    truth, first = Truth.of(case.body), inclusions[0]
-    center = truth.points[truth.lumps == 1].mean(axis=0)
-    youngs, radius = float(truth.lump_moduli_mpa[0]), float(truth.lump_radii_mm[0])
+    first = inclusions[0]
     within = [
         low <= true <= high
         for (low, high), true in ((first["youngs_90"], youngs), (first["radius_90"], radius))
@@ -107,7 +129,9 @@ def score(case: Any, inclusions: list[dict[str, Any]]) -> dict[str, Any]:
 def describe(row: dict[str, Any]) -> str:
     """Return a row of the table."""
     cells = [row["case"], row["version"], f"{row['cpu']:.0f}", f"{row['seconds']:.0f}"]
-    cells += [f"{row['gib']:.1f}", f"{row['chi2']:.4f}"]
+    first = [s for what, _, s in row["stages"] if what.startswith("provisional")]
+    cells += [f"{first[0]:.0f}" if first else "", f"{row['gib']:.1f}", f"{row['chi2']:.4f}"]
+    cells.append(str(len(row["inclusions"])))
     if "center_error_mm" in row:
         cells += [f"{row[key]:.3f}" for key in ("center_error_mm", "youngs_ratio", "radius_ratio")]
         cells.append(", ".join("yes" if within else "no" for within in row["within_90"]))

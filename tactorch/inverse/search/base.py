@@ -246,18 +246,14 @@ class SearchProblem(ABC):
 
     def offsets(self, model: Model) -> list[np.ndarray]:
         """Return predictions of the reduced model less those of the full one at a model."""
-        pairs = zip(self._coarse(model).predicted, model.evaluation.predicted, strict=True)
+        field = ShapesOnSites(model.fit.field, self._reduced_sites).at(model.fit.z)
+        pairs = zip(self.reduced.predicted(field.youngs), model.evaluation.predicted, strict=True)
         return [reduced - full for reduced, full in pairs]
 
     def jacobian(self, model: Model) -> Float[np.ndarray, "data size"]:
         """Return the derivatives of the residuals of white noise by a model's parameters."""
         field = ShapesOnSites(model.fit.field, self.sites)
         return field.at(model.fit.z).jacobian(self.raw(model))
-
-    def _coarse(self, model: Model) -> Evaluation:
-        """Return the predictions of the reduced model."""
-        field = ShapesOnSites(model.fit.field, self._reduced_sites).at(model.fit.z)
-        return self.reduced.evaluate(field.youngs)
 
     def _linearise(self, start: Start) -> Any:
         """Compute the effects of errors of the data about a model."""
