@@ -10,9 +10,9 @@ simulated one of 2,304 probes (`simulated_palpation.py`). Each is inverted in a 
 the package of this checkout, and with `--before` also by that of another one, one after the other.
 `cpu` is the processor time of the process, `seconds` the elapsed time, both of `find_shapes` alone,
 `first` that to the provisional answer; `GiB` is the largest memory. Stages of the search are those
-that it logs, with the processor time at their end. `centre` is the distance of the first inclusion's centre
-(mm), `E` and `R` its modulus and radius over those of the object, and `in 90 %` whether these are
-within their intervals. The last line printed is one JSON object.
+that it logs, with the processor time at their end. `centre` is the distance of the first
+inclusion's centre (mm), `E` and `R` its modulus and radius over those of the object, and `in 90 %`
+whether these are within their intervals. The last line printed is one JSON object.
 """
 
 import argparse
