@@ -11,6 +11,8 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
 
+from tactorch.linalg.pattern import SymmetricPattern
+
 Real = np.float32  # the time of a product is that of reading the matrix
 SIZE = 3  # unknowns of a node
 
@@ -41,6 +43,19 @@ class BlockMatrix:
         out = np.zeros(SIZE * (len(self.indptr) - 1), dtype=Real)
         _product(self.indptr, self.indices, self.values, np.asarray(x, dtype=Real), out)
         return out
+
+
+def upper_blocks(
+    pattern: SymmetricPattern, values: Float[np.ndarray, " nnz"], size: int = SIZE
+) -> sp.bsr_matrix:
+    """Return the blocks of the upper triangle of a matrix, sorted; those on the diagonal whole."""
+    upper = sp.csr_matrix((values, pattern.indices, pattern.indptr), shape=(pattern.size,) * 2)
+    blocks = upper.tobsr((size, size))
+    blocks.sort_indices()
+    begins = blocks.indptr[:-1]
+    diagonal = blocks.data[begins]
+    blocks.data[begins] += np.tril(diagonal.swapaxes(1, 2), -1)
+    return blocks
 
 
 def diagonal_blocks(matrix: sp.bsr_matrix) -> Float[np.ndarray, "rows b b"]:
