@@ -30,13 +30,14 @@ class BlockMatrix:
 
     @staticmethod
     def of(matrix: sp.bsr_matrix) -> "BlockMatrix":
-        """Return a symmetric SciPy matrix, whose blocks are 3 x 3 and sorted by row and column."""
+        """Return a symmetric SciPy matrix of sorted 3 x 3 blocks, or of its upper triangle."""
         rows = np.repeat(np.arange(len(matrix.indptr) - 1), np.diff(matrix.indptr))
         upper = matrix.indices >= rows
         counts = np.bincount(rows[upper], minlength=len(matrix.indptr) - 1)
         indptr = np.concatenate([[0], np.cumsum(counts)]).astype(matrix.indptr.dtype)
-        values = matrix.data[upper].astype(Real).ravel()
-        return BlockMatrix(indptr, matrix.indices[upper], values)
+        chosen = slice(None) if upper.all() else upper
+        values = matrix.data[chosen].astype(Real).ravel()
+        return BlockMatrix(indptr, matrix.indices[chosen], values)
 
     def __matmul__(self, x: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
         """Return the product with a vector in single precision."""

@@ -94,8 +94,7 @@ def fixed_unknowns(
     pattern: SymmetricPattern, values: Float[np.ndarray, " nnz"]
 ) -> Bool[np.ndarray, " size"]:
     """Return the unknowns whose rows have a diagonal entry only."""
-    sums = pattern.product(np.abs(values), np.ones(pattern.size))
-    return np.asarray(sums == np.abs(values[pattern.diagonal]))
+    return np.asarray(pattern.product(values != 0.0, np.ones(pattern.size)) == 1.0)
 
 
 class MultigridSolver(IterativeSolver):

@@ -24,6 +24,7 @@ _DEGREE = 3  # of the polynomial
 _RANGE = 30.0  # of the eigenvalues that the polynomial reduces
 _POWER_STEPS = 30  # for the largest eigenvalue
 _MARGIN = 1.15  # of the largest eigenvalue, which these steps underestimate
+_SINGLE_RTOL = 1e-2  # of solutions for which a matrix in single precision suffices
 _STALE_ITERATIONS = 4.0  # with the cycle of another matrix, for each digit and two more
 
 
@@ -145,7 +146,9 @@ class PMultigridSolver(IterativeSolver):
                 return np.asarray(stale.solution)
             if not self._renew():
                 raise IndefiniteError("the matrix is not positive definite")
-        return np.asarray(self._iterate(self._product, self._cycle, rhs, rtol))
+        single = rtol >= _SINGLE_RTOL
+        product = self._cycle.smoother.matrix.__matmul__ if single else self._product
+        return np.asarray(self._iterate(product, self._cycle, rhs, rtol))
 
     def _product(self, x: Any) -> Any:
         return self.pattern.product(self._values, x)

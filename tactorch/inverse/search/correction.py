@@ -45,8 +45,8 @@ from tactorch.mesh.sharp_edges import distance_from_sharp_edges
 from tactorch.recording import Recording, prolong_recording
 
 _AT_RIM = 0.1  # longest edge at the rim of a contact, over the contact's radius
-_UNDER_CONTACT = 0.15  # longest edge at the loaded surface, over the contact's radius
-_GROWTH = 0.7  # of the longest edge with the distance from the rim
+_UNDER_CONTACT = 0.12  # longest edge at the loaded surface, over the contact's radius
+_GROWTH = 1.0  # of the longest edge with the distance from the rim
 # Smallest load of a contact over its largest, between which changes are interpolated.
 _MIN_FACTOR, _MAX_FACTOR = 0.1, 0.8
 _NEAR_EDGE = 0.6  # edge that an inclusion needs at a contact near it, over that of the mesh
