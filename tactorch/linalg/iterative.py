@@ -94,7 +94,8 @@ def fixed_unknowns(
     pattern: SymmetricPattern, values: Float[np.ndarray, " nnz"]
 ) -> Bool[np.ndarray, " size"]:
     """Return the unknowns whose rows have a diagonal entry only."""
-    return np.asarray(pattern.product(values != 0.0, np.ones(pattern.size)) == 1.0)
+    counts = pattern.product((values != 0.0).astype(np.float32), np.ones(pattern.size))
+    return np.asarray(counts == 1.0)
 
 
 class MultigridSolver(IterativeSolver):

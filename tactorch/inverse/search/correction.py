@@ -318,31 +318,28 @@ class Correction:
         common = model.evaluation.search(0).assembly.discretisation
         transfer = Transfer.between(common, body.discretisation.positions)
 
-        def solve(chain: Sequence[_LoadSeries]) -> dict[int, np.ndarray]:
-            """Solve presses one after the other; those of the same supports share a tangent."""
+        def solve(series: _LoadSeries) -> dict[int, np.ndarray]:
+            """Solve one load after the other; a tangent serves all presses of the same supports."""
             found: dict[int, np.ndarray] = {}
-            for series in chain:
-                change = np.zeros((body.n_nodes, 3))
-                for i in series.ends:
-                    check()
-                    one = replace(fine, presses=(fine.presses[i],))
-                    problem = InverseProblem(
-                        one, body=body, noise=self.noise, contact_mpa=self.contact_mpa,
-                        derivative_rtol=_NEWTON.rtol,
-                    )  # fmt: skip
-                    start = transfer(displacements[i])
-                    first = start + series.factors[i] * change
-                    near = problem.evaluate(youngs, starts=[first])
-                    change = (near.displacements[0] - start) / series.factors[i]
-                    found[i] = near.predicted[0] - model.predicted[i]
+            change = np.zeros((body.n_nodes, 3))
+            for i in series.ends:
+                check()
+                one = replace(fine, presses=(fine.presses[i],))
+                problem = InverseProblem(
+                    one, body=body, noise=self.noise, contact_mpa=self.contact_mpa,
+                    derivative_rtol=_NEWTON.rtol,
+                )  # fmt: skip
+                start = transfer(displacements[i])
+                first = start + series.factors[i] * change
+                solved = problem.evaluate(youngs, starts=[first])
+                change = (solved.displacements[0] - start) / series.factors[i]
+                found[i] = solved.predicted[0] - model.predicted[i]
             return found
 
-        # Where the contacts do not divide evenly, one thread more keeps all cores busy to the end.
+        # With little more than one contact a core, one thread more keeps all cores busy to the end.
         cores = worker_count()
-        count = min(cores + (len(every) % cores > 0), len(every))
-        chains = [every[k::count] for k in range(count)]
-        with limit_workers(max(cores, count)):
-            parts = map_cases(lambda k: solve(chains[k]), count)
+        with limit_workers(cores + (cores < len(every) < 2 * cores)):
+            parts = map_cases(lambda k: solve(every[k]), len(every))
         return {i: values for found in parts for i, values in found.items()}
 
 
