@@ -58,6 +58,7 @@ class SoftBody:
         self.newton = newton or NewtonOptions()
         self.discretisation = Discretisation(mesh, ELEMENTS[element])
         self.solver = solver
+        self._leases: dict[bytes, SharedLease] = {}
         self.assembly = Assembly(self.discretisation, material, material.poisson, mesh.points)
 
     @cached_property
@@ -65,6 +66,11 @@ class SoftBody:
         """Analysed solvers, shared by all load cases; made at first use."""
         d = self.discretisation
         return SolverPool(d.pattern, self.solver, CoarseSpaces(d.rigid_modes, d.from_linear))
+
+    def shared_lease(self, supports: bytes) -> SharedLease:
+        """Return the factorisations that load cases of the same supports share."""
+        single = not self.material.allows_inversion
+        return self._leases.setdefault(supports, SharedLease(self.pool, single))
 
     @property
     def n_nodes(self) -> int:

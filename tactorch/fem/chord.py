@@ -15,8 +15,10 @@ from jaxtyping import Float
 
 from tactorch.fem.newton import Newton
 from tactorch.linalg.pool import SharedLease
+from tactorch.linalg.solver import IndefiniteError
 
 _MAX_ITERATIONS, _DEPTH = 12, 4
+_MOVE_RTOL = 0.1  # of the moves, by iterative solvers: Anderson's combination corrects them
 _WORSE = 3.0  # rise of the unbalanced force over the least one at which a case is left
 NodalField = Float[np.ndarray, "nodes 3"]
 
@@ -67,7 +69,7 @@ def approach(
     cases = [_Case(search, u, u) for search, u in zip(searches, starts, strict=True)]
     with lease.hold() as held:
         is_factored = held.factored is not None
-        if not held.direct or not (is_factored or searches[0].factor_at(starts[0], held)):
+        if not (is_factored or searches[0].factor_at(starts[0], held)):
             return list(starts)
         active = cases
         for _ in range(_MAX_ITERATIONS):
@@ -76,7 +78,10 @@ def approach(
             if not left:
                 break
             active = [case for case, _ in left]
-            steps = held.solve(np.stack([-forces for _, forces in left], axis=1))
+            try:
+                steps = held.solve(np.stack([-forces for _, forces in left], axis=1), _MOVE_RTOL)
+            except IndefiniteError:
+                break
             for case, step in zip(active, steps.T, strict=True):
                 case.move(step)
     return [case.best for case in cases]

@@ -10,7 +10,9 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import no_type_check
 
+import numba
 import numpy as np
 import scipy.sparse as sp
 import torch
@@ -209,19 +211,10 @@ class Discretisation:
     @cached_property
     def slots(self) -> Int[np.ndarray, "m entries"]:
         """Stored entry of the pattern for each element entry."""
-        # Pairs of nodes, not of unknowns, are searched: there are nine times fewer.
-        nodes = self.nodes.T.astype(np.int32)
-        first, second = (nodes[pair] for pair in np.triu_indices(len(nodes)))
-        low, swapped = np.minimum(first, second), second < first
-        pattern, rows, cols = self._node_pattern, *self.entry_rows_cols
-        places = 3 * (pattern.slots(first, second) - pattern.indptr[low])
-        # Entries of a pair follow each other.
-        pair = np.cumsum(np.diff(rows // 3 * len(rows) + cols // 3, prepend=0) != 0)
-        slots = np.empty((len(rows), len(self.nodes)), dtype=np.int32)
-        for out, p, i, j in zip(slots, pair, rows % 3, cols % 3, strict=True):
-            turn = (i - j) * swapped[p]  # the row is that of the lower node
-            out[:] = self.pattern.indptr[3 * low[p] + i - turn] + places[p] + (j - i + 2 * turn)
-        return np.ascontiguousarray(slots.T)
+        nodes, pattern = self.nodes.astype(np.int32), self._node_pattern
+        out = np.empty((len(nodes), len(self.entry_rows_cols[0])), dtype=np.int32)
+        _fill_slots(nodes, pattern.indptr, pattern.indices, self.pattern.indptr, out)
+        return out
 
     @cached_property
     def from_linear(self) -> sp.csr_matrix | None:
@@ -299,3 +292,21 @@ class ConsistentLoads:
         out = self.surface.tractions(self.loads.T @ loads)
         out[self._others] = loads[self._others]
         return out
+
+
+@no_type_check
+@numba.njit(nogil=True, cache=True)
+def _fill_slots(nodes, indptr, indices, begins, out):
+    """Fill `Discretisation.slots` from the pattern of nodes and the first entries of unknowns."""
+    for e in range(nodes.shape[0]):
+        k = 0
+        for a in range(nodes.shape[1]):
+            for b in range(a, nodes.shape[1]):
+                low, high = min(nodes[e, a], nodes[e, b]), max(nodes[e, a], nodes[e, b])
+                row = indices[indptr[low] : indptr[low + 1]]
+                place = 3 * np.searchsorted(row, high)
+                for i in range(3):
+                    for j in range(i if a == b else 0, 3):
+                        r, c = (i, j) if nodes[e, a] == low else (j, i)
+                        out[e, k] = begins[3 * low + r] + place + c - r
+                        k += 1

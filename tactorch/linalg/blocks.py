@@ -11,6 +11,8 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
 
+from tactorch.linalg.pattern import SymmetricPattern
+
 Real = np.float32  # the time of a product is that of reading the matrix
 SIZE = 3  # unknowns of a node
 
@@ -28,19 +30,33 @@ class BlockMatrix:
 
     @staticmethod
     def of(matrix: sp.bsr_matrix) -> "BlockMatrix":
-        """Return a symmetric SciPy matrix, whose blocks are 3 x 3 and sorted by row and column."""
+        """Return a symmetric SciPy matrix of sorted 3 x 3 blocks, or of its upper triangle."""
         rows = np.repeat(np.arange(len(matrix.indptr) - 1), np.diff(matrix.indptr))
         upper = matrix.indices >= rows
         counts = np.bincount(rows[upper], minlength=len(matrix.indptr) - 1)
         indptr = np.concatenate([[0], np.cumsum(counts)]).astype(matrix.indptr.dtype)
-        values = matrix.data[upper].astype(Real).ravel()
-        return BlockMatrix(indptr, matrix.indices[upper], values)
+        chosen = slice(None) if upper.all() else upper
+        values = matrix.data[chosen].astype(Real).ravel()
+        return BlockMatrix(indptr, matrix.indices[chosen], values)
 
     def __matmul__(self, x: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
         """Return the product with a vector in single precision."""
         out = np.zeros(SIZE * (len(self.indptr) - 1), dtype=Real)
         _product(self.indptr, self.indices, self.values, np.asarray(x, dtype=Real), out)
         return out
+
+
+def upper_blocks(
+    pattern: SymmetricPattern, values: Float[np.ndarray, " nnz"], size: int = SIZE
+) -> sp.bsr_matrix:
+    """Return the blocks of the upper triangle of a matrix, sorted; those on the diagonal whole."""
+    upper = sp.csr_matrix((values, pattern.indices, pattern.indptr), shape=(pattern.size,) * 2)
+    blocks = upper.tobsr((size, size))
+    blocks.sort_indices()
+    begins = blocks.indptr[:-1]
+    diagonal = blocks.data[begins]
+    blocks.data[begins] += np.tril(diagonal.swapaxes(1, 2), -1)
+    return blocks
 
 
 def diagonal_blocks(matrix: sp.bsr_matrix) -> Float[np.ndarray, "rows b b"]:

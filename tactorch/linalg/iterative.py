@@ -22,6 +22,7 @@ from tactorch.config import option
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.linalg.blocks import SIZE, diagonal_blocks
 from tactorch.linalg.conjugate_gradients import conjugate_gradients
+from tactorch.linalg.pattern import SymmetricPattern
 from tactorch.linalg.solver import (
     SOLVERS,
     IndefiniteError,
@@ -89,10 +90,12 @@ def by_columns(solve: Callable[[np.ndarray], np.ndarray], rhs: np.ndarray) -> np
     return np.stack([solve(column) for column in columns], axis=1).reshape(rhs.shape)
 
 
-def fixed_unknowns(matrix: sp.csr_matrix) -> Bool[np.ndarray, " size"]:
+def fixed_unknowns(
+    pattern: SymmetricPattern, values: Float[np.ndarray, " nnz"]
+) -> Bool[np.ndarray, " size"]:
     """Return the unknowns whose rows have a diagonal entry only."""
-    sums = np.asarray(abs(matrix).sum(axis=1)).ravel()
-    return np.asarray(sums == np.abs(matrix.diagonal()))
+    counts = pattern.product((values != 0.0).astype(np.float32), np.ones(pattern.size))
+    return np.asarray(counts == 1.0)
 
 
 class MultigridSolver(IterativeSolver):
@@ -109,7 +112,8 @@ class MultigridSolver(IterativeSolver):
         block = full.tobsr((3, 3)) if self.pattern.size % 3 == 0 else full
         options: dict[str, Any] = {}
         if self.near_nullspace is not None:
-            options["B"] = np.where(fixed_unknowns(full)[:, None], 0.0, self.near_nullspace)
+            fixed = fixed_unknowns(self.pattern, values)
+            options["B"] = np.where(fixed[:, None], 0.0, self.near_nullspace)
         if self._aggregates:
             options["aggregate"] = [("predefined", {"AggOp": a}) for a in self._aggregates]
             options["max_levels"] = len(self._aggregates) + 1

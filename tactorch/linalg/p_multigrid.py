@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from tactorch.config import option
-from tactorch.linalg.blocks import SIZE, BlockMatrix, Real, diagonal_blocks
+from tactorch.linalg.blocks import SIZE, BlockMatrix, Real, upper_blocks
 from tactorch.linalg.conjugate_gradients import conjugate_gradients
 from tactorch.linalg.iterative import IterativeSolver, by_columns, fixed_unknowns
 from tactorch.linalg.pattern import SymmetricPattern
@@ -24,6 +24,7 @@ _DEGREE = 3  # of the polynomial
 _RANGE = 30.0  # of the eigenvalues that the polynomial reduces
 _POWER_STEPS = 30  # for the largest eigenvalue
 _MARGIN = 1.15  # of the largest eigenvalue, which these steps underestimate
+_SINGLE_RTOL = 1e-2  # of solutions for which a matrix in single precision suffices
 _STALE_ITERATIONS = 4.0  # with the cycle of another matrix, for each digit and two more
 
 
@@ -36,20 +37,19 @@ class _Smoother:
     largest: float
 
     @staticmethod
-    def of(matrix: sp.csr_matrix) -> "_Smoother | None":
+    def of(upper: sp.bsr_matrix) -> "_Smoother | None":
         """Return the smoother; None if a diagonal block is not positive definite."""
-        size = SIZE if matrix.shape[0] % SIZE == 0 else 1
-        blocks = matrix.tobsr((size, size))
-        blocks.sort_indices()
-        diagonal = diagonal_blocks(blocks)
+        diagonal = upper.data[upper.indptr[:-1]]
         if not np.linalg.eigvalsh(diagonal).min() > 0.0:
             return None
         places = np.arange(len(diagonal) + 1)
         inverses = sp.bsr_matrix((np.linalg.inv(diagonal), places[:-1], places))
-        single, inverse = (
-            BlockMatrix.of(m) if size == SIZE else m.astype(Real) for m in (blocks, inverses)
-        )
-        vector = np.random.default_rng(0).standard_normal(matrix.shape[0]).astype(Real)
+        if upper.blocksize[0] == SIZE:
+            single, inverse = BlockMatrix.of(upper), BlockMatrix.of(inverses)
+        else:
+            both = upper + sp.triu(upper, 1).T
+            single, inverse = both.astype(Real), inverses.astype(Real)
+        vector = np.random.default_rng(0).standard_normal(upper.shape[0]).astype(Real)
         for _ in range(_POWER_STEPS):
             vector = inverse @ (single @ vector)
             largest = float(np.sqrt(np.square(vector).sum()))
@@ -108,18 +108,22 @@ class PMultigridSolver(IterativeSolver):
 
     def _renew(self) -> bool:
         """Set up the cycle of the present matrix; False if it is found not positive definite."""
-        self._cycle, self._current = self._new_cycle(self.pattern.full(self._values)), True
+        self._cycle, self._current = self._new_cycle(), True
         return self._cycle is not None
 
-    def _new_cycle(self, matrix: sp.csr_matrix) -> _Cycle | None:
-        smoother, interpolation = _Smoother.of(matrix), self.linear
-        if smoother is None:
+    def _new_cycle(self) -> _Cycle | None:
+        size = SIZE if self.pattern.size % SIZE == 0 else 1
+        blocks, interpolation = upper_blocks(self.pattern, self._values, size), self.linear
+        if (smoother := _Smoother.of(blocks)) is None:
             return None
         if interpolation is None:
-            interpolation = sp.identity(self.pattern.size, format="csr")
-        free = ~fixed_unknowns(matrix)
+            interpolation = sp.identity(self.pattern.size)
+        free = ~fixed_unknowns(self.pattern, self._values)
         interpolation = sp.csr_matrix(sp.diags(free.astype(np.float64)) @ interpolation)
-        coarse = sp.csr_matrix(interpolation.T @ matrix @ interpolation)
+        by_blocks = interpolation.tobsr((size, size))
+        blocks.data[blocks.indptr[:-1]] *= 0.5
+        half = by_blocks.T @ (blocks @ by_blocks)  # the coarse matrix is this and its transpose
+        coarse = sp.csr_matrix(half + half.T)
         # Columns of fixed unknowns only are zero.
         coarse = coarse + sp.diags(np.where(coarse.diagonal() > 0.0, 0.0, 1.0))
         upper = sp.csr_matrix(sp.triu(coarse))
@@ -142,7 +146,9 @@ class PMultigridSolver(IterativeSolver):
                 return np.asarray(stale.solution)
             if not self._renew():
                 raise IndefiniteError("the matrix is not positive definite")
-        return np.asarray(self._iterate(self._product, self._cycle, rhs, rtol))
+        single = rtol >= _SINGLE_RTOL
+        product = self._cycle.smoother.matrix.__matmul__ if single else self._product
+        return np.asarray(self._iterate(product, self._cycle, rhs, rtol))
 
     def _product(self, x: Any) -> Any:
         return self.pattern.product(self._values, x)

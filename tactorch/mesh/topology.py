@@ -99,8 +99,9 @@ def number_edges(
     tets: Tets, n_points: int
 ) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "m 6"]]:
     """Return the nodes of each edge, in ascending order, and the edges of each element."""
-    pairs = np.sort(tets[:, LOCAL_EDGES], axis=2)
-    keys, inverse = np.unique(pairs[..., 0] * n_points + pairs[..., 1], return_inverse=True)
+    first, second = tets[:, LOCAL_EDGES].transpose(2, 0, 1)
+    pairs = np.minimum(first, second) * n_points + np.maximum(first, second)
+    keys, inverse = np.unique(pairs, return_inverse=True)
     return np.column_stack(np.divmod(keys, n_points)), inverse.reshape(-1, 6)
 
 

@@ -9,7 +9,7 @@ import pytest
 import scipy.integrate
 
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
-from tactorch.fem import ELEMENTS, NewtonOptions
+from tactorch.fem import ELEMENTS, Newton, NewtonOptions
 from tactorch.inverse.errors import ERRORS, ErrorModel, MeasuredPresses
 from tactorch.inverse.fields import (
     BALL,
@@ -28,6 +28,7 @@ from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.shapes import ShapesOnSites, fit_shapes
 from tactorch.inverse.forward.problem import InverseProblem
 from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
+from tactorch.inverse.search import correction as correction_module
 from tactorch.inverse.search import find_shapes
 from tactorch.inverse.search.correction import Correction, _LoadSeries
 from tactorch.inverse.search.model import (
@@ -603,6 +604,28 @@ def test_whole_sides_are_corrected_at_sharp_edges_and_inclusions(recording):
     low, high = (np.linalg.norm(o) for o in correction.offsets(ball, evaluation)[:2])
     assert 0.0 < low < high < 0.05 * np.linalg.norm(problem.data.observations[1].values)
     assert 0.0 < edges < high
+
+
+def test_corrections_of_one_tangent_a_contact_are_those_of_equilibria(recording, monkeypatch):
+    one = replace(recording, presses=recording.presses[:2])  # two loads
+    problem = InverseProblem(one, element="tet10")
+    field = ShapeField(ShapePrior.of(MESH, 0.2), (BALL,))
+    values = np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.5), np.log(5.0)])
+    fit, evaluation = fit_shapes(problem, field, field.standard(values), max_iterations=0)
+    tangents, tangent = [], Newton._tangent
+
+    def counted(self, *arguments, **options):
+        tangents.append(self)
+        return tangent(self, *arguments, **options)
+
+    monkeypatch.setattr(Newton, "_tangent", counted)
+    monkeypatch.setattr(correction_module, "sharp_edge_sizing", lambda mesh: None)  # smaller meshes
+    correction = Correction.of(problem, "tet10", "auto")
+    found = np.concatenate(correction.offsets(fit, evaluation))
+    assert len(tangents) == 1
+    monkeypatch.setattr(correction_module, "_NEWTON", NewtonOptions(rtol=1e-7))
+    exact = np.concatenate(correction.offsets(fit, evaluation))
+    assert 1e-6 < np.linalg.norm(found - exact) / np.linalg.norm(exact) < 0.01
 
 
 def test_the_posterior_of_a_ball_is_that_of_an_ellipsoid(recording):

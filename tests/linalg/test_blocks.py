@@ -6,7 +6,8 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactorch.linalg.blocks import BlockMatrix, diagonal_blocks
+from tactorch.linalg.blocks import BlockMatrix, diagonal_blocks, upper_blocks
+from tactorch.linalg.pattern import SymmetricPattern
 
 
 def _symmetric(seed: int, nodes: int, density: float) -> sp.bsr_matrix:
@@ -28,6 +29,21 @@ def test_the_product_is_that_of_both_triangles(seed, nodes, density):
     found = blocks @ x
     assert found.dtype == np.float32
     np.testing.assert_allclose(found, matrix @ x.astype(float), atol=1e-4)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 1000), st.integers(1, 30), st.floats(0.0, 1.0))
+def test_the_upper_triangle_has_all_blocks(seed, nodes, density):
+    matrix = _symmetric(seed, nodes, density)
+    upper = sp.csr_matrix(sp.triu(matrix))
+    upper.sort_indices()
+    blocks = upper_blocks(SymmetricPattern(upper.indptr, upper.indices), upper.data)
+    expected = np.triu(np.ones((nodes, nodes))).repeat(3, axis=0).repeat(3, axis=1)
+    np.testing.assert_array_equal(blocks.toarray(), matrix.toarray() * expected)
+    matrix.sort_indices()
+    found, same = BlockMatrix.of(blocks), BlockMatrix.of(matrix)
+    np.testing.assert_array_equal(found.values, same.values)
+    np.testing.assert_array_equal(found.indices, same.indices)
 
 
 @pytest.mark.parametrize("rows", [1, 7])

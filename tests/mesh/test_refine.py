@@ -49,6 +49,15 @@ def _check_nested(refinement: Refinement) -> None:
     assert within.sum(axis=1).max() < 1 + 1e-9
 
 
+def test_bisections_around_few_elements_are_those_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    module, found = importlib.import_module("tactorch.mesh.refine"), []
+    for few in (0.0, 1.0):
+        monkeypatch.setattr(module, "_FEW", few)
+        found.append(refine(box_mesh(10.0, 4), _near).mesh)
+    np.testing.assert_array_equal(found[0].points, found[1].points)
+    np.testing.assert_array_equal(found[0].tets, found[1].tets)
+
+
 def test_refinement_is_nested_and_as_fine_as_wanted(refinement: Refinement) -> None:
     _check_nested(refinement)
     fine = refinement.mesh

@@ -430,10 +430,8 @@ class InverseProblem:
 
     def _share(self) -> list[SharedLease]:
         """Return the factorisations that each press shares with those of the same supports."""
-        single = not self.body.assembly.material.allows_inversion
-        keys = [p.fixed.tobytes() + p.springs.tobytes() for p in self.recording.presses]
-        leases = {key: SharedLease(self.body.pool, single) for key in set(keys)}
-        return [leases[key] for key in keys]
+        presses = self.recording.presses
+        return [self.body.shared_lease(p.fixed.tobytes() + p.springs.tobytes()) for p in presses]
 
     def _check_nuisance(self) -> None:
         """Refuse nuisance parameters that probes and other readings do not have."""
