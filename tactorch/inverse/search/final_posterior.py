@@ -12,7 +12,15 @@ from tactorch.inverse.fields import SIZE
 from tactorch.inverse.fit.shapes import ShapesOnSites
 from tactorch.inverse.posterior.ridges import Ridge, RidgePoint
 from tactorch.inverse.posterior.shapes import ShapePosterior
-from tactorch.inverse.search.model import MIN_GAIN, Model, Start, as_judged, gain, make_posterior
+from tactorch.inverse.search.model import (
+    MIN_GAIN,
+    Model,
+    Start,
+    as_judged,
+    falls_short,
+    gain,
+    make_posterior,
+)
 from tactorch.inverse.search.problem import ShapeProblem
 
 _log = logging.getLogger(__name__)
@@ -20,13 +28,14 @@ _log = logging.getLogger(__name__)
 # taken about the ridge.
 _MIN_DEVIATION = np.array([0.05, 0.1])
 _TOLERANCE = 0.1  # of the fit whose posterior it is: within half a standard deviation
+_OPTIMISM = 1.5  # falls of the objective over those that derivatives at balls predict, at best
 _MAX_POINTS = 6  # on each side of the best fit: to 3.6 standard deviations of the prior
 # Predicted fall of the objective below which a point of a ridge is not fitted further: the
 # predicted optimum is right within a tenth then.
 _RIDGE_TOLERANCE = 5.0
-# Rise of half the sum of squares from one point of a ridge to the next: two standard deviations of
-# a normal posterior.
-_RISE = 2.0
+# Rise of half the sum of squares from one point of a ridge to the next, for which one point on each
+# side of the best fit is enough where the posterior is nearly normal.
+_RISE = 3.0
 _MAX_RISE = 2.5  # at the last points; that of the ends of a central 90 % interval is 1.35
 _MAX_STEP, _MIN_STEP = 0.6, 0.01  # of a parameter, in standard deviations of its prior
 
@@ -34,9 +43,9 @@ _MAX_STEP, _MIN_STEP = 0.6, 0.01  # of a parameter, in standard deviations of it
 def final_posterior(problem: ShapeProblem, model: Model) -> tuple[Model, ShapePosterior]:
     """Return the posterior of a final model, and the model or one of more evidence.
 
-    The posterior is that of balls that may be ellipsoids, at its best fit, which is accepted as the
-    model if its evidence is larger by enough. Where radius or contrast of an inclusion are
-    uncertain, the posterior is about its ridge.
+    The posterior is that of balls that may be ellipsoids. Where these may have enough evidence to
+    be accepted as the model they are fitted, and otherwise the posterior is linearised at balls.
+    Where radius or contrast of an inclusion are uncertain, it is about its ridge.
     """
     try:
         free = _with_ellipsoids(problem, model)
@@ -82,13 +91,19 @@ def _is_uncertain(posterior: ShapePosterior, inclusion: int) -> bool:
 
 
 def _with_ellipsoids(problem: ShapeProblem, model: Model) -> Model:
-    """Return the model fitted with all balls as ellipsoids."""
+    """Return the model with all balls as ellipsoids, fitted where that may raise the evidence."""
     field, z = as_judged(model.fit.field, model.fit.z)
     if field is model.fit.field:
         return model
     start = Start("balls as ellipsoids", field, z, model.errors)
     # An ellipsoid without distortions is the ball.
-    return problem.fit(start, None, _TOLERANCE, evaluation=model.evaluation)
+    balls = problem.fit(start, None, np.inf, evaluation=model.evaluation)
+    fit = balls.fit
+    gradient = fit.jacobian.T @ fit.residuals + fit.z
+    fall = 0.5 * float(gradient @ fit.covariance @ gradient)
+    if falls_short(fit, _OPTIMISM * fall, model.fit, -MIN_GAIN):
+        return balls
+    return problem.fit(start, None, _TOLERANCE, evaluation=balls.evaluation)
 
 
 def _one_side(
