@@ -6,10 +6,13 @@ from itertools import product
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior, strength
 from tactorch.inverse.posterior.ridges import Ridge, RidgePoint, basis_across
 from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.mesh import box_mesh
 
 PRIOR = ShapePrior.of(box_mesh(10.0, 3), 0.2)
@@ -183,6 +186,27 @@ def test_one_point_is_the_normal_distribution_of_the_logarithms():
     deviation = np.sqrt(np.diag(posterior.covariance))
     np.testing.assert_allclose(samples[:, 5].mean(), posterior.z[5], atol=0.1 * deviation[5])
     np.testing.assert_allclose(samples[:, 5].std(), deviation[5], rtol=0.1)
+
+
+@given(
+    st.floats(0.8, 3.0),
+    st.floats(1.5, 25.0),
+    st.booleans(),
+    st.tuples(st.floats(0.05, 1.5), st.floats(0.03, 0.6)),
+    st.booleans(),
+)
+def test_estimates_are_within_their_intervals(radius, ratio, soft, errors, has_ridge):
+    """Also where the best fit is elsewhere, as that of a ball beside those of ellipsoids."""
+    posterior = FarField(radius, 1.0 / ratio if soft else ratio, errors).posterior()
+    if not has_ridge:
+        posterior = replace(posterior, ridges=())
+    best = posterior.z + np.array([0.0, 0.0, 0.0, 0.0, -1.0, 1.0])
+    result = ShapeReconstruction(FIELD, best, posterior, 1.0, (9.0,), 9.0)
+    (found,) = result.inclusions
+    estimates = found.shape.radius_mm, found.youngs_mpa, found.shape.contrast
+    intervals = found.radius_90_mm, found.youngs_90_mpa, found.contrast_90
+    for value, interval in zip(estimates, intervals, strict=True):
+        assert interval.low <= value <= interval.high
 
 
 def test_samples_are_within_the_limits_of_the_prior():

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.special import exprel
 
 from tactorch.errors import ConfigError
 from tactorch.inverse.data.plain import to_plain, with_arrays
@@ -213,6 +214,19 @@ class ShapeField:
             else:
                 near, change = family.log_change(own, sites)
                 out[near] += change
+        return out
+
+    def mean_youngs(self, z: Vector, sites: Sites) -> Float[np.ndarray, " volumes"]:
+        """Return the arithmetic mean of the modulus over each volume, MPa.
+
+        The background of a volume is that of its centre.
+        """
+        values = self.physical(z)
+        out = np.exp(self._background(sites) @ values[: self.n_background])
+        for family, own, _ in self._inclusions(values):
+            near, change = family.log_change(own, sites)
+            # The change is the log-contrast times the fraction inside.
+            out[near] *= 1.0 + change * exprel(own.log_contrast)
         return out
 
     def jacobian(self, z: Vector, sites: Sites) -> np.ndarray:

@@ -188,6 +188,12 @@ class ShapeFit(Evidence):
             np.linalg.inv(hessian), jacobian, z if optimum is None else optimum,
         )  # fmt: skip
 
+    @property
+    def predicted_fall(self) -> float:
+        """Fall of the objective by a Gauss-Newton step."""
+        gradient = self.jacobian.T @ self.residuals + self.z
+        return 0.5 * float(gradient @ self.covariance @ gradient)
+
 
 def fit_shapes(
     problem: InverseProblem,

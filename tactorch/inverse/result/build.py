@@ -16,7 +16,6 @@ from tactorch.inverse.result.lump import Confidence, Elongation, Lump, measure_d
 from tactorch.inverse.result.reconstruction import Reconstruction
 from tactorch.inverse.result.regions import build_lump, find_lumps
 from tactorch.inverse.result.shapes import ShapeInclusion, ShapeReconstruction
-from tactorch.mesh.quadrature import element_means
 from tactorch.metrics import Inclusion
 from tactorch.recording import Recording
 from tactorch.versions import versions
@@ -25,7 +24,6 @@ from tactorch.versions import versions
 _MAX_UNEXPLAINED = 0.1
 _MIN_PROBABILITY = 0.9  # of a lump that is reported
 _COMPLETE = "no further model has more evidence"
-_SAMPLES = 4  # along an edge of an element, for its mean modulus
 _MAX_AT_BOUNDS = 0.2  # fraction of the volume at the bounds in a map that can be trusted
 
 
@@ -39,7 +37,7 @@ def of_inclusions(
     reasons = _reasons_of(shapes)
     return Reconstruction(
         mesh=recording.mesh,
-        youngs=element_means(recording.mesh, shapes.youngs_at, _SAMPLES),
+        youngs=shapes.element_means(recording.mesh),
         displacements=moved if predictions is None else predictions.displacements,
         history=history,
         stop_reason=str(shapes.ended or _COMPLETE),

@@ -27,7 +27,6 @@ from tactorch.inverse.result.lump import Lump
 from tactorch.inverse.result.regions import build_lump, find_lumps
 from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.mesh import TetMesh, locate, write_mesh
-from tactorch.mesh.quadrature import lattice
 
 if TYPE_CHECKING:
     import h5py
@@ -38,7 +37,6 @@ _FORMAT, _VERSION = "tactorch-reconstruction", 2
 _REMEDY = "give the reconstruction.h5 of a run folder."
 #: Probability of all intervals that are reported.
 LEVEL = 0.9
-_SAMPLES, _DRAWS = 3, 100  # points along an edge of an element, and draws, for intervals
 _Field = Float[np.ndarray, " m"]
 
 
@@ -186,8 +184,7 @@ class Reconstruction(Displayed):
         None for an element map whose posterior was not computed.
         """
         if self.shapes is not None:
-            points = np.einsum("pc,mcd->mpd", lattice(_SAMPLES), self.mesh.points[self.mesh.tets])
-            low, high = self.shapes.intervals_of(points, LEVEL, _DRAWS)
+            low, high = self.shapes.element_intervals(self.mesh, LEVEL)
             return low, high
         if self.log_deviation is None:
             return None

@@ -17,8 +17,11 @@ from tactorch.inverse.fields import InclusionShape, ShapeField, Sites
 from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.forward.predictions import Predictions
 from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.mesh import TetMesh
+from tactorch.mesh.quadrature import lattice
 
 _DRAWS = 1000
+_POINTS = 4  # along an edge of an element, for its mean modulus
 # Attributes that files hold as they are.
 _STORED = ("chi2", "log_odds", "log_odds_any", "errors", "unexplained", "history")
 
@@ -58,7 +61,7 @@ class ShapeInclusion(Summarized):
     other errors of the model.
 
     Attributes:
-        shape: Most probable shape.
+        shape: Shape of the estimate, see `ShapeReconstruction`.
         youngs_mpa: Young's modulus, MPa.
         background_mpa: Young's modulus of the background at the centre, MPa.
         center_deviation_mm: Standard deviation of the centre along x, y and z, mm.
@@ -99,10 +102,13 @@ class ShapeState(NamedTuple):
 class ShapeReconstruction(Displayed):
     """Inclusions with sharp boundaries in a uniform or smooth background.
 
+    Values and maps are those of `estimate`, which is the centre of the posterior. Where the
+    posterior is skewed, it differs from the best fit `z`, of which chi2 and predictions are.
+
     Attributes:
         field: The family of the shapes, with the prior of its parameters.
-        z: Most probable parameters, in standard deviations of the prior.
-        posterior: Their posterior, where balls may be ellipsoids.
+        z: Parameters of the best fit, in standard deviations of the prior.
+        posterior: Posterior of the parameters, where balls may be ellipsoids.
         chi2: Mean squared residual, in standard deviations.
         log_odds: For each inclusion, the log-evidence over that of the model without it.
         log_odds_any: The same for all inclusions together.
@@ -163,11 +169,25 @@ class ShapeReconstruction(Displayed):
     @property
     def background_mpa(self) -> float:
         """Young's modulus of the background, MPa; the geometric mean where it is smooth."""
-        return float(np.exp(self.field.physical(self.z)[self.field.background.level]))
+        return float(np.exp(self.field.physical(self.estimate)[self.field.background.level]))
+
+    @cached_property
+    def estimate(self) -> Float[np.ndarray, " size"]:
+        """Parameters of `field` that are reported, in standard deviations of the prior.
+
+        Each is the median of its samples, and therefore within its interval. Where the posterior is
+        that of ellipsoids for a ball, their distortions are left out.
+        """
+        posterior, median = self.posterior.field, np.median(self.samples, axis=0)
+        return posterior.changed(median, families=self.field.families)[1]
 
     def youngs_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-        """Return the most probable Young's modulus at points (mm), MPa."""
-        return np.exp(self.field.log_youngs(self.z, Sites.at(points)))
+        """Return Young's modulus at points (mm), MPa."""
+        return np.exp(self.field.log_youngs(self.estimate, Sites.at(points)))
+
+    def element_means(self, mesh: TetMesh) -> Float[np.ndarray, " m"]:
+        """Return Young's modulus averaged over the volume of each element of a mesh, MPa."""
+        return self.field.mean_youngs(self.estimate, _sites(mesh))
 
     def log_deviation_at(
         self, points: Float[np.ndarray, "n 3"], draws: int = 200
@@ -177,16 +197,17 @@ class ShapeReconstruction(Displayed):
         field = self.posterior.field
         return np.std([field.log_youngs(z, sites) for z in self.samples[:draws]], axis=0)
 
-    def intervals_of(
-        self, points: Float[np.ndarray, "m k 3"], level: float, draws: int = 200
+    def element_intervals(
+        self, mesh: TetMesh, level: float, draws: int = 100
     ) -> Float[np.ndarray, "2 m"]:
-        """Return the ends of the central interval of the modulus of volumes, MPa.
+        """Return the ends of the central interval of the mean modulus of each element, MPa.
 
-        The modulus of a volume is the geometric mean over its points (mm).
+        Where it would exclude the estimate, as in elements at a boundary, it extends to that.
         """
-        sites = Sites(points, np.zeros(len(points)), (len(points), 1))
-        logs = [self.posterior.field.log_youngs(z, sites) for z in self.samples[:draws]]
-        return np.exp(np.quantile(logs, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0))
+        field, sites, best = self.posterior.field, _sites(mesh), self.element_means(mesh)
+        means = [field.mean_youngs(z, sites) for z in self.samples[:draws]]
+        low, high = np.quantile(means, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
+        return np.stack([np.minimum(low, best), np.maximum(high, best)])
 
     @cached_property
     def samples(self) -> Float[np.ndarray, "draws size"]:
@@ -200,7 +221,7 @@ class ShapeReconstruction(Displayed):
     def inclusions(self) -> list[ShapeInclusion]:
         """The inclusions with their intervals, those of the largest log-odds first."""
         inclusions = [
-            self._inclusion(k, shape) for k, shape in enumerate(self.field.shapes(self.z))
+            self._inclusion(k, shape) for k, shape in enumerate(self.field.shapes(self.estimate))
         ]
         return [inclusions[k] for k in self.order]
 
@@ -211,7 +232,7 @@ class ShapeReconstruction(Displayed):
 
     def _inclusion(self, k: int, shape: InclusionShape) -> ShapeInclusion:
         draws = InclusionValues.of(self.posterior.field, self.samples, k)
-        best = InclusionValues.of(self.field, self.z[None], k)
+        best = InclusionValues.of(self.field, self.estimate[None], k)
         return ShapeInclusion(
             shape,
             float(best.youngs_mpa[0]),
@@ -240,6 +261,12 @@ class ShapeReconstruction(Displayed):
         values |= {name: tuple(plain[name]) for name in ("log_odds", "history")}
         posterior = ShapePosterior.of(plain["posterior"])
         return ShapeReconstruction(field, np.array(plain["z"]), posterior, errors=errors, **values)
+
+
+def _sites(mesh: TetMesh) -> Sites:
+    """Return the elements of a mesh as volumes with sharp boundaries."""
+    points = np.einsum("pc,mcd->mpd", lattice(_POINTS), mesh.points[mesh.tets])
+    return Sites(points, np.zeros(mesh.n_tets), (mesh.n_tets, 1))
 
 
 def _interval(values: Float[np.ndarray, " draws"]) -> Interval:

@@ -21,6 +21,7 @@ from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
 from tactorch.inverse.search.matched import MatchedFilter
 from tactorch.inverse.search.model import (
     MIN_GAIN,
+    OPTIMISM,
     Model,
     Start,
     falls_short,
@@ -29,7 +30,6 @@ from tactorch.inverse.search.model import (
     with_ball,
 )
 
-_OPTIMISM = 1.5  # falls of the objective over those of its quadratic model, at best
 _TRIAL_STEPS = 8  # of Gauss-Newton with the reduced model
 _QUICK_STARTS = 2  # fits of an inclusion for a provisional answer
 # Tolerances of fits: within one standard deviation of the optimum, and a sixth of the gain by which
@@ -189,13 +189,13 @@ class SearchProblem(ABC):
 
         def is_worse(fit: ShapeFit, fall: float) -> bool:
             self._check()
-            return falls_short(fit, _OPTIMISM * fall, model.fit, self.groups, margin)
+            return falls_short(fit, OPTIMISM * fall, model.fit, self.groups, margin)
 
         family = ShapesOnSites(start.field, self.sites)
         z = np.clip(start.z, *family.limits)
         evaluation = problem.evaluate(family.at(z).youngs, starts=model.evaluation.displacements)
         first = Model(self._coarse_fit(start, z, evaluation), evaluation, start.errors)
-        if is_worse(first.fit, _predicted_fall(first.fit)):
+        if is_worse(first.fit, first.fit.predicted_fall):
             return first
         fit = fit_shapes(
             problem, start.field, z, sites=self.sites, evaluation=evaluation,
@@ -284,9 +284,3 @@ class SearchProblem(ABC):
         if self.errors.lacks(errors):
             self._linearise(self._uniform)
         return self.errors.data(errors)
-
-
-def _predicted_fall(fit: ShapeFit) -> float:
-    """Return the fall of the objective by a Gauss-Newton step."""
-    gradient = fit.jacobian.T @ fit.residuals + fit.z
-    return 0.5 * float(gradient @ fit.covariance @ gradient)

@@ -31,6 +31,7 @@ DEGREES = (2, 4)  # of smooth backgrounds
 # Smallest linearised reduction of the misfit that is worth a fit: the best of n independent ones
 # reduces that of pure noise by about log n, which is 6.7 for the balls of the matched filter.
 MIN_CANDIDATE_GAIN = 8.0
+OPTIMISM = 1.5  # falls of the objective over those of its quadratic model, at best
 MAX_LOG_ODDS = 1e6  # where the model without an inclusion has no equilibrium
 # Range of the log-contrast of a start with the reduced model, and its limit with quadratic
 # elements: the far field of a ball, (c - 1) / (c + 3/2), is 0.6 and 0.7 of its limit there, see

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -120,24 +121,23 @@ def test_the_ridge_has_the_optima_of_held_parameters(uncertain):
     assert final is model
     assert posterior.field.families == (ELLIPSOID,)
     (ridge,) = posterior.ridges
-    assert 5 <= len(ridge.points) <= 9
+    assert 4 <= len(ridge.points) <= 8
     heights = np.array([point.height for point in ridge.points])
     assert heights[[0, -1]].min() > heights.min() + 2.0
     assert heights[ridge.start] < heights.min() + 0.1
     family = ShapesOnSites(posterior.field, problem.sites)
-    around = problem.fit(
-        Start("best", posterior.field, posterior.z, model.errors), model.evaluation.displacements
-    )
-    scale = np.sqrt(max(1.0, around.fit.chi2))
+    scale = np.sqrt(max(1.0, model.fit.chi2))
     for point, height in zip(ridge.points, heights, strict=True):
+        # The first point is linearised at the ball.
+        tolerance = 0.3 if point is ridge.points[ridge.start] else 0.1
         evaluation = problem.full.evaluate(family.at(point.z).youngs)
         residuals = evaluation.residuals / scale
         actual = 0.5 * (residuals @ residuals + point.z @ point.z)
-        assert height == pytest.approx(actual, abs=0.1)
+        assert height == pytest.approx(actual, abs=tolerance)
         jacobian = family.at(point.z).jacobian(evaluation) / scale
         gradient = basis_across(ridge.direction).T @ (jacobian.T @ residuals + point.z)
         fall = 0.5 * np.sum((point.root.T @ gradient) ** 2)
-        assert fall < 0.1
+        assert fall < tolerance
 
 
 def test_a_held_direction_remains(uncertain):
@@ -433,11 +433,12 @@ def test_inclusions_are_in_the_order_of_the_result():
     result = ShapeReconstruction(field, z, posterior, 1.0, (5.0, 8.0), 13.0)
     samples = ShapeSamples(field, np.tile(z, (40, 1)), np.full(40, -np.log(40.0)), result.order)
     assert result.order == (1, 0)
+    approx = partial(pytest.approx, rel=1e-3)
     for inclusion, intervals in zip(result.inclusions, samples.intervals(), strict=True):
-        assert intervals.radius_90_mm.low == pytest.approx(inclusion.shape.radius_mm)
-        assert intervals.contrast_90.high == pytest.approx(inclusion.shape.contrast)
-        assert intervals.youngs_90_mpa.low == pytest.approx(inclusion.youngs_mpa)
-        assert intervals.center_90_mm[0].low == pytest.approx(inclusion.shape.center_mm[0])
+        assert intervals.radius_90_mm.low == approx(inclusion.shape.radius_mm)
+        assert intervals.contrast_90.high == approx(inclusion.shape.contrast)
+        assert intervals.youngs_90_mpa.low == approx(inclusion.youngs_mpa)
+        assert intervals.center_90_mm[0].low == approx(inclusion.shape.center_mm[0])
 
 
 def test_a_body_without_inclusion_has_samples_too(recording):

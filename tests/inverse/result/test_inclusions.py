@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tactorch.inverse import Reconstruction, Status
-from tactorch.inverse.fields import ELLIPSOID, ShapeField, ShapePrior
+from tactorch.inverse.fields import BALL, ELLIPSOID, ShapeField, ShapePrior
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.inverse.result.text import describe, describe_lump
@@ -41,12 +41,12 @@ def reconstruct(values):
 def test_a_shape_becomes_a_lump_with_intervals(recording, shapes, inclusions):
     finding = inclusions(recording, shapes)
     (lump,) = finding.lumps
-    (shape,) = FIELD.shapes(shapes.z)
+    (shape,) = FIELD.shapes(shapes.estimate)
     assert finding.status is Status.FOUND
-    assert lump.inclusion.mean_mpa == pytest.approx(0.8)
-    assert lump.inclusion.contrast == pytest.approx(4.0)
-    assert lump.inclusion.equivalent_radius_mm == pytest.approx(2.0)
-    assert lump.depth.center_mm == pytest.approx(4.0)
+    assert lump.inclusion.mean_mpa == pytest.approx(0.8, rel=5e-3)
+    assert lump.inclusion.contrast == pytest.approx(4.0, rel=5e-3)
+    assert lump.inclusion.equivalent_radius_mm == pytest.approx(2.0, rel=2e-3)
+    assert lump.depth.center_mm == pytest.approx(4.0, abs=0.02)
     assert np.prod(lump.size_mm) == pytest.approx(np.prod(2.0 * np.array(shape.semi_axes_mm)))
     low, high = lump.confidence.youngs_mpa
     deviation = 0.02 * np.hypot(FIELD.prior.background, FIELD.prior.log_contrast)
@@ -57,6 +57,22 @@ def test_a_shape_becomes_a_lump_with_intervals(recording, shapes, inclusions):
     assert "more than 99.9 %" in text
 
 
+def test_an_estimate_is_within_its_interval_where_the_best_fit_is_not(recording, inclusions):
+    """The best ball is smaller and stiffer than the ellipsoids of its posterior."""
+    ball = ShapeField(FIELD.prior, (BALL,))
+    best = ball.standard(np.array([*VALUES[:4], np.log(1.7), np.log(7.0)]))
+    ellipsoids = reconstruct(VALUES).posterior
+    result = inclusions(recording, ShapeReconstruction(ball, best, ellipsoids, 1.0, (9.0,), 9.0))
+    (lump,) = result.lumps
+    assert 1.7 < lump.confidence.radius_mm[0] < lump.inclusion.equivalent_radius_mm
+    assert lump.inclusion.mean_mpa < lump.confidence.youngs_mpa[1] < 1.4
+    assert np.ptp(lump.size_mm) == 0.0  # without the distortions of the posterior
+    assert result.youngs.max() == pytest.approx(lump.inclusion.mean_mpa)
+    low, high = result.intervals()
+    assert (low <= result.youngs).all()
+    assert (result.youngs <= high).all()
+
+
 def test_a_long_shape_is_named_with_length_widths_and_direction(recording, inclusions):
     axis = np.array([0.6, 0.8, 0.0])
     stretch = np.log(1.0) * np.eye(3) + np.log(4.0) * np.outer(axis, axis)
@@ -64,10 +80,10 @@ def test_a_long_shape_is_named_with_length_widths_and_direction(recording, inclu
     long = reconstruct([VALUES[0], *own])
     (lump,) = inclusions(recording, long).lumps
     assert lump.elongation is not None
-    assert lump.elongation.length_mm == pytest.approx(8.0)
-    assert lump.elongation.widths_mm == pytest.approx((2.0, 2.0))
-    assert lump.elongation.direction == pytest.approx(axis)
-    assert lump.plain()["direction"] == pytest.approx(axis.tolist())
+    assert lump.elongation.length_mm == pytest.approx(8.0, rel=2e-3)
+    assert lump.elongation.widths_mm == pytest.approx((2.0, 2.0), rel=0.02)
+    assert lump.elongation.direction == pytest.approx(axis, abs=0.01)
+    assert lump.plain()["direction"] == pytest.approx(axis.tolist(), abs=0.01)
     assert "A long stiff lump at (5.00, 5.00, 6.00) mm" in describe_lump(lump)
     assert "8 mm long along (0.60, 0.80, 0.00) and 2 x 2 mm across" in describe_lump(lump)
     short = inclusions(recording, reconstruct(VALUES)).lumps[0]
@@ -108,16 +124,17 @@ def test_presses_that_no_model_explains_cannot_tell(recording, shapes, inclusion
 def test_a_result_has_its_field_at_points_and_elements(recording, shapes, inclusions, tmp_path):
     result = inclusions(recording, shapes)
     inside, outside = np.array([[5.0, 5.0, 6.0]]), np.array([[1.0, 1.0, 1.0]])
-    np.testing.assert_allclose(result.youngs_at(np.vstack([inside, outside])), [0.8, 0.2])
+    youngs = result.youngs_at(np.vstack([inside, outside]))
+    np.testing.assert_allclose(youngs, [0.8, 0.2], rtol=5e-3)
     low, high = result.intervals()
     at = np.linalg.norm(MESH.centroids - inside, axis=1) < 0.5
     assert (low[at] < 0.8).all()
     assert (high[at] > 0.8).all()
-    assert result.youngs.max() == pytest.approx(0.8)
+    assert result.youngs.max() == pytest.approx(youngs[0])
     again = Reconstruction.load(result.save(tmp_path / "result.h5"))
     assert again.plain() == result.plain()
     assert describe(again) == describe(result)
-    np.testing.assert_allclose(again.youngs_at(inside), 0.8)
+    np.testing.assert_allclose(again.youngs_at(inside), youngs[:1])
     (lump,), (kept,) = result.lumps, again.lumps
     np.testing.assert_array_equal(kept.inclusion.elements, lump.inclusion.elements)
     np.testing.assert_array_equal(kept.depth.above_mm, lump.depth.above_mm)
