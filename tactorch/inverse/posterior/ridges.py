@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator, make_interp_spline
-from scipy.linalg import null_space
+from scipy.linalg import null_space, solve_triangular
 from scipy.special import ndtr
 
 from tactorch.inverse.data.plain import with_arrays
@@ -60,7 +60,8 @@ class RidgePoint:
             0.5 * float(residuals @ residuals + z @ z + step @ gradient),
             float(along @ (gradient + hessian @ step)),
             along,
-            np.linalg.cholesky(np.linalg.inv(across)),
+            # Not the factor of the inverse, which round-off may make indefinite.
+            solve_triangular(np.linalg.cholesky(across), np.eye(len(across)), lower=True).T,
             np.sqrt(variance),
         )
 
