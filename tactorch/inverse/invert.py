@@ -29,7 +29,7 @@ from tactorch.inverse.fit.objective import Objective, Point
 from tactorch.inverse.fit.optimizers.base import OPTIMIZERS
 from tactorch.inverse.fit.optimizers.gauss_newton import GaussNewton
 from tactorch.inverse.fit.settings import Settings
-from tactorch.inverse.fit.starts import START_MPA, Start, start_map, uniform_fit
+from tactorch.inverse.fit.starts import START_MPA, Start, checked_start, start_map, uniform_fit
 from tactorch.inverse.forward.palpation import (
     PALPATION_ELEMENT,
     PalpationProblem,
@@ -104,6 +104,8 @@ def invert(
         FileError: the checkpoint to resume cannot be read.
     """
     settings = settings or Settings()
+    if settings.method != "inclusions" and not callable(start_mpa):
+        checked_start(start_mpa, recording.mesh.n_tets, settings.bounds)
 
     def element_map() -> Reconstruction:
         result = invert_map(

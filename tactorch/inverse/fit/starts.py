@@ -300,9 +300,15 @@ def fits_better_than_uniform(
 
 def start_map(start: Start, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
     """Return the map of a start, MPa; refuse a wrong shape and moduli outside the bounds."""
-    m = problem.n_elements
-    start = start(problem, bounds) if callable(start) else start
-    values = np.asarray(start, dtype=np.float64)
+    values = start(problem, bounds) if callable(start) else start
+    return checked_start(values, problem.n_elements, bounds)
+
+
+def checked_start(
+    youngs_mpa: float | Float[np.ndarray, " _"], m: int, bounds: Bounds
+) -> Float[np.ndarray, " m"]:
+    """Return the modulus of each of m elements; refuse a wrong shape and values out of bounds."""
+    values = np.asarray(youngs_mpa, dtype=np.float64)
     if values.ndim and values.shape != (m,):
         raise ConfigError(f"start_mpa has shape {values.shape}; expected one modulus or ({m},).")
     low, high = bounds.lower * (1 - _BOUND_RTOL), bounds.upper * (1 + _BOUND_RTOL)
