@@ -135,6 +135,8 @@ def describe(row: dict[str, Any]) -> str:
     if "center_error_mm" in row:
         cells += [f"{row[key]:.3f}" for key in ("center_error_mm", "youngs_ratio", "radius_ratio")]
         cells.append(", ".join("yes" if within else "no" for within in row["within_90"]))
+    else:
+        cells += [""] * 4
     return f"| {' | '.join(cells)} |"
 
 
