@@ -55,7 +55,8 @@ class SearchProblem(ABC):
     Attributes:
         full: The presses with the elements by which models are judged.
         sites: Volumes of the quadrature points of these elements.
-        reduced: The presses with predictions about a uniform body, with which models are tried.
+        reduced: The presses linearised about a uniform body or an accepted model, with which models
+            are tried.
         matched: Matched filter for inclusions.
         prior: Prior of the parameters of inclusions.
         errors: Errors of the data that occur.

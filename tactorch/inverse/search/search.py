@@ -1,12 +1,12 @@
-"""The search for inclusions: proposals by a reduced model, decisions by quadratic elements.
+"""The search for inclusions: proposals by a reduced model, decisions by the full one.
 
 A model is a background, uniform, smooth or layered, with a number of balls and ellipsoids, and
 deviations of the recorded forces and poses. From a model others follow: with a further ball where a
 matched filter sees one in the residuals, with a background of more modes, with a ball as an
 ellipsoid, or with larger errors of the forces or poses. Each is fitted with the reduced model,
-whose data are shifted so that it agrees with quadratic elements at the present model. They are then
-fitted with quadratic elements, the best first, and the first that raises the evidence enough is
-accepted.
+whose data are shifted so that it agrees with the full model at the present one. They are then
+fitted with the full model, the best first, and the first that raises the evidence enough is
+accepted. What differs between contacts, palpations and sessions is in `SearchProblem`.
 """
 
 import logging
@@ -117,7 +117,8 @@ def search(
         start: See `find_shapes`.
         update: Called with what is done next.
     """
-    _log.info("provisional: %s; the search goes on", _in_words(problem.provisional()))
+    if start is None:
+        _log.info("provisional: %s; the search goes on", _in_words(problem.provisional()))
     update("first model")
     model, history = _first(problem, start)
 
