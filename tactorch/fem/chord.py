@@ -17,7 +17,7 @@ from tactorch.fem.newton import Newton
 from tactorch.linalg.pool import SharedLease
 from tactorch.linalg.solver import IndefiniteError
 
-_MAX_ITERATIONS, _DEPTH = 12, 4
+_MAX_ITERATIONS, _DEPTH = 20, 6
 _MOVE_RTOL = 0.1  # of the moves, by iterative solvers: Anderson's combination corrects them
 _WORSE = 3.0  # rise of the unbalanced force over the least one at which a case is left
 NodalField = Float[np.ndarray, "nodes 3"]

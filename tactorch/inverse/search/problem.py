@@ -45,7 +45,7 @@ _DISCRETISATION = 1e-3
 _MAX_ROUGH_CHI2 = 3.0
 _SAME_MODEL = 3.0  # change of a parameter that a correction outlasts, in standard deviations
 _DERIVATIVE_RTOL = 2e-3  # of the solves for derivatives: far below the curvature of the objective
-_RTOL = 1e-6  # of equilibria: far below the noise of a sensor
+_RTOL = 1e-5  # of equilibria: errors of data below a thousandth of their deviation
 
 
 class ShapeProblem(SearchProblem):
