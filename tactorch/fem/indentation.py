@@ -36,6 +36,7 @@ from tactorch.fem.local_change import GreenFunction, LocalChange, Stiffness
 from tactorch.fem.materials import lame
 from tactorch.fem.readings import surface_rows
 from tactorch.linalg import map_cases
+from tactorch.linalg.parallel import worker_count
 from tactorch.mesh.closest import closest_points
 
 _FRACTIONS = (1.0, 0.72, 0.48)  # radii of the profiles, over that of the largest contact
@@ -105,7 +106,8 @@ class Indentation:
         edge = float(np.sqrt(np.median(body.mesh.surface.areas) * 4.0 / np.sqrt(3.0)))
         wide = _WIDE * np.maximum(self.radii_mm[:, 0], edge)
         self._all_radii = np.column_stack([self.radii_mm, wide])
-        parts = [self._profiles(chunk) for chunk in self._chunks(_PLACE_BYTES)]
+        chunks = self._chunks(worker_count() * _PLACE_BYTES)
+        parts = map_cases(lambda k: self._profiles(chunks[k]), len(chunks))
         self.heights = np.concatenate([heights for _, heights in parts])
         # All places of one profile follow each other.
         profiles = zip(*(loads for loads, _ in parts), strict=True)

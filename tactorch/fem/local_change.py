@@ -6,6 +6,9 @@ unknowns S, displacements by forces f are u - G_S Y, with u = G f and (1 + D G_S
 reaches.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
@@ -15,6 +18,8 @@ from tactorch.errors import ConvergenceError
 from tactorch.fem.body import SoftBody
 from tactorch.fem.boundary import Supports
 from tactorch.fem.materials import lame
+from tactorch.linalg import SharedLease, map_cases
+from tactorch.linalg.pool import Lease
 
 _MAX_COLUMNS = 96  # right-hand sides solved at once
 _KEPT = 0.25  # columns that are kept, over the memory for a computation
@@ -29,19 +34,33 @@ class Stiffness:
     def __init__(self, body: SoftBody, supports: Supports, youngs: np.ndarray) -> None:
         search = body.search(youngs, np.zeros((body.n_nodes, 3)), supports)
         linearization = search.linearize(search.run().require())
-        self.fixed = linearization.fixed
-        self._lease = body.pool.lease(single_precision=True)
-        if not self._lease.factor(linearization.tangent):
-            raise ConvergenceError("The stiffness matrix is not positive definite; hold the body.")
+        self.fixed, self._tangent = linearization.fixed, linearization.tangent
+        # Each thread has a factorisation of its own.
+        self._lease = SharedLease(body.pool, single_precision=True)
+        with self._factored():
+            pass
+
+    @contextmanager
+    def _factored(self) -> Iterator[Lease]:
+        with self._lease.hold() as lease:
+            if lease.factored is None and not lease.factor(self._tangent):
+                raise ConvergenceError(
+                    "The stiffness matrix is not positive definite; hold the body."
+                )
+            yield lease
 
     def solve(self, loads: sp.csr_matrix) -> Float[np.ndarray, "unknowns k"]:
         """Return the displacements by loads (rows) in single precision, mm."""
         fields = np.empty(loads.shape[::-1], dtype=np.float32)
-        for first in range(0, fields.shape[1], _MAX_COLUMNS):
-            block = slice(first, first + _MAX_COLUMNS)
+
+        def work(k: int) -> None:
+            block = slice(k * _MAX_COLUMNS, (k + 1) * _MAX_COLUMNS)
             forces = loads[block].T.toarray(order="F")
             forces[self.fixed] = 0.0
-            fields[:, block] = self._lease.solve(forces)
+            with self._factored() as lease:
+                fields[:, block] = lease.solve(forces)
+
+        map_cases(work, -(-fields.shape[1] // _MAX_COLUMNS))
         return fields
 
 
