@@ -210,17 +210,22 @@ class DataModel:
     model_deviation: tuple[float, ...] | None = None
     noise_fraction: float = 1.0  # of the data's variance; the rest is error of the model
 
-    @property
+    @cached_property
     def counts(self) -> list[int]:
         """Number of data of each press."""
         return [len(observation.values) for observation in self.observations]
 
-    @property
+    @cached_property
     def begins(self) -> Int[np.ndarray, " presses"]:
         """Index of the first datum of each press."""
         return np.cumsum([0, *self.counts[:-1]])
 
-    @property
+    @cached_property
+    def values(self) -> Float[np.ndarray, " data"]:
+        """All data, in their units."""
+        return np.concatenate([observation.values for observation in self.observations])
+
+    @cached_property
     def scale(self) -> Float[np.ndarray, " data"]:
         """Weight over standard deviation of all data, 1 over the unit of each."""
         return np.concatenate([observation.scale for observation in self.observations])

@@ -235,7 +235,7 @@ class PalpationProblem(InverseProblem):
         """Best uniform modulus, MPa."""
         unit = self.indentation.at(np.ones(self.n_elements))
         predicted = unit.press(self.places, self.depths_mm).force_n[self.press_of]
-        observed = np.concatenate([o.values for o in self.data.observations]) * self.directions
+        observed = self.data.values * self.directions
         weights = self.data.scale**2
         products = float((weights * predicted * observed).sum())
         ratio = products / max(float((weights * predicted**2).sum()), 1e-300)

@@ -81,7 +81,6 @@ class Evaluation:
         nuisance: Nuisance values.
         residuals: Half their square is minimised: predicted minus observed of all presses, in
             standard deviations, transformed by the misfit.
-        misfit_mm2: Half the sum of squared differences of displacements (eq. 7), mm^2.
         data: Observations.
     """
 
@@ -103,12 +102,15 @@ class Evaluation:
     def _compare(self, data: DataModel) -> None:
         """Compute the residuals of the data."""
         self.data, self._misfit, self._begins = data, data.misfit, data.begins
-        pairs = zip(self.predicted, data.observations, strict=True)
-        difference = [predicted - observation.values for predicted, observation in pairs]
-        moved = [d[o.units[0]] for d, o in zip(difference, data.observations, strict=True)]
-        self.misfit_mm2 = 0.5 * float(sum(d @ d for d in moved))
-        self._white = data.whiten(np.concatenate(difference) * data.scale)
+        self._white = data.whiten((np.concatenate(self.predicted) - data.values) * data.scale)
         self.residuals = self._misfit.residuals(self._white, self._begins)
+
+    @property
+    def misfit_mm2(self) -> float:
+        """Half the sum of squared differences of displacements (eq. 7), mm^2."""
+        pairs = zip(self.predicted, self.data.observations, strict=True)
+        moved = [(predicted - o.values)[o.units[0]] for predicted, o in pairs]
+        return 0.5 * float(sum(d @ d for d in moved))
 
     @property
     def chi2(self) -> float:

@@ -184,7 +184,7 @@ def record(what: str, fit: ShapeFit) -> dict[str, Any]:
 
 def unexplained(fit: ShapeFit, data: DataModel) -> float:
     """Return the root mean square of the residuals beyond their noise, over the data's."""
-    observed = np.concatenate([o.values for o in data.observations]) * data.scale
+    observed = data.values * data.scale
     return float(np.sqrt(max(fit.chi2 - 1.0, 0.0) / np.mean(observed**2)))
 
 

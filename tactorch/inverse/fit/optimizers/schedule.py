@@ -160,10 +160,10 @@ class RegularizationSchedule:
         the error of the model may be smaller than its allowance.
         """
         problem, chi2 = point.objective.problem, point.evaluation.chi2
-        if not (converged and chi2 > _MAX_CHI2) and problem.noise_is_limit:
-            return False
         fitted = self.ended is StopReason.FITTED and self.rule == "discrepancy"
         if not fitted or self.rounds >= _MAX_ROUNDS:
+            return False
+        if not (converged and chi2 > _MAX_CHI2) and problem.noise_is_limit:
             return False
         minimum = _MIN_CHI2 * problem.data.noise_fraction
         certain = converged or self._ends_outside(chi2, minimum)
