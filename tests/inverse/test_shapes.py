@@ -27,6 +27,7 @@ from tactorch.inverse.fit.objective import Objective
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.shapes import ShapesOnSites, fit_shapes
 from tactorch.inverse.forward.problem import InverseProblem
+from tactorch.inverse.result.build import of_inclusions
 from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
 from tactorch.inverse.search import correction as correction_module
 from tactorch.inverse.search import find_shapes
@@ -381,6 +382,9 @@ def test_a_time_limit_ends_a_search_with_the_last_accepted_model(recording, monk
     result = find_shapes(recording, Settings(max_seconds=50.0))
     assert result.ended == "time limit reached"
     assert [record["model"] for record in result.history] == ["uniform", "final fit"]
+    assert result.untried[0].startswith("ball at [")
+    warning = of_inclusions(recording, result, {}, 0.0).warnings[-1]
+    assert f"Not tried any more: {result.untried[0]}" in warning
 
 
 @pytest.mark.slow

@@ -78,7 +78,10 @@ def _warnings_of(result: ShapeReconstruction) -> tuple[str, ...]:
     """Return a sentence on each error of the measurement that the data show, and on the search."""
     texts = [error.sentence(result.errors.get(error.name, 0.0)) for error in ERRORS]
     if result.ended is not None:
-        texts.append(f"The search ended early ({result.ended}): there may be more inclusions.")
+        text = f"The search ended early ({result.ended}): there may be more inclusions."
+        if result.untried:
+            text += f" Not tried any more: {', '.join(result.untried)}."
+        texts.append(text)
     return tuple(filter(None, texts))
 
 

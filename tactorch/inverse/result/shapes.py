@@ -122,6 +122,7 @@ class ShapeReconstruction(Displayed):
             `tactorch.inverse.search.held_out`.
         ended: What ended the search early, so that there may be more inclusions: Ctrl-C or the time
             limit; None by default.
+        untried: Models that were proposed, and not fitted any more by such a search.
     """
 
     field: ShapeField
@@ -136,6 +137,7 @@ class ShapeReconstruction(Displayed):
     predictions: Predictions | None = None
     held_out: float | None = None
     ended: StopReason | None = None
+    untried: tuple[str, ...] = ()
 
     def summary(self) -> str:
         """Return a description of the result in a few lines of text."""

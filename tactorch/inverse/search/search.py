@@ -121,13 +121,14 @@ def search(
         _log.info("provisional: %s; the search goes on", _in_words(problem.provisional()))
     update("first model")
     model, history = _first(problem, start)
+    untried: list[Proposal] = []
 
     def step(number: int) -> bool:
         nonlocal model
         update(f"model {number}, predictions of proposals")
-        proposals = propose(problem, model)
+        untried[:] = propose(problem, model)[: problem.max_fits]
         update(f"model {number}")
-        if (accepted := _accept(problem, model, proposals)) is None:
+        if (accepted := _accept(problem, model, untried)) is None:
             return False
         proposal, model = accepted
         model = problem.precise(model)
@@ -143,7 +144,8 @@ def search(
         if best is not model:
             history.append(record("balls as ellipsoids", best.fit))
         result = _result(problem, best, posterior, history)
-        return best, replace(result, ended=ended)
+        left = tuple(proposal.what for proposal in untried) if ended else ()
+        return best, replace(result, ended=ended, untried=left)
     except CancelledError as error:
         error.reached = ShapeState(model.fit.field, model.fit.z, model.errors)
         raise
@@ -201,16 +203,22 @@ def _first(
 
 
 def _accept(
-    problem: SearchProblem, model: Model, proposals: list[Proposal]
+    problem: SearchProblem, model: Model, untried: list[Proposal]
 ) -> tuple[Proposal, Model] | None:
-    """Fit proposals with the full model until one has more evidence than the model."""
-    for proposal in proposals[: problem.max_fits]:
+    """Fit proposals with the full model until one has more evidence than the model.
+
+    Those that were fitted are removed from the list.
+    """
+    while untried:
+        proposal = untried[0]
         with suppress(ConvergenceError), progress_line(proposal.what):
             trial = problem.challenge(proposal, model)
             change = problem.gain(trial.fit, model.fit)
             _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)
             if change > proposal.least_gain:
+                untried.clear()
                 return proposal, trial
+        del untried[0]
     return None
 
 
