@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
@@ -224,6 +224,12 @@ class DataModel:
     def values(self) -> Float[np.ndarray, " data"]:
         """All data, in their units."""
         return np.concatenate([observation.values for observation in self.observations])
+
+    @cached_property
+    def are_displacements(self) -> Bool[np.ndarray, " data"]:
+        """Whether each datum is a displacement (mm), rather than a force or moment."""
+        parts = [np.arange(len(o.values)) < o.units[0].stop for o in self.observations]
+        return np.concatenate(parts)
 
     @cached_property
     def scale(self) -> Float[np.ndarray, " data"]:
