@@ -1,4 +1,4 @@
-"""Starts of an inversion: uniform, of few moduli, of random draws, or a given map.
+"""Starts of an inversion: uniform, of few moduli, of regions, of random draws, or a given map.
 
 A start is a function of the inverse problem and the bounds, as is a learned one.
 """
@@ -20,7 +20,7 @@ from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse.data.nuisance import Nuisance, NuisancePrior
 from tactorch.inverse.fields import ElementField
 from tactorch.inverse.fields.parameterization import Bounds, Log
-from tactorch.inverse.fields.regularization.base import Quadratic
+from tactorch.inverse.fields.regularization.base import Quadratic, region_values
 from tactorch.inverse.fit.monitor import Monitor, StopCondition, StopOptimization, StopReason
 from tactorch.inverse.fit.objective import Objective
 from tactorch.inverse.fit.optimizers.gauss_newton import GaussNewton
@@ -47,7 +47,7 @@ INITIALIZATIONS = Registry(
     {
         "uniform": "tactorch.inverse.fit.starts:Uniform",
         "coarse": "tactorch.inverse.fit.starts:CoarseStart",
-        "regions": "tactorch.inverse.fit.region_start:RegionStart",
+        "regions": "tactorch.inverse.fit.starts:RegionStart",
         "surrogate": "tactorch.learning.surrogate:SurrogateStart",
     },
 )
@@ -181,6 +181,35 @@ class CoarseStart(Options):
     def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
         """Return the map, MPa."""
         labels = clusters(problem.recording.mesh, self.groups)
+        return fit_groups(problem, bounds, labels, steps=self.steps)
+
+
+@dataclass(frozen=True)
+class RegionStart(Options):
+    """One modulus for each region of the mesh: given, or those that fit best."""
+
+    section: ClassVar[str] = "initialization"
+    region_mpa: dict[int, float] | None = option(
+        None, "Modulus of each region by number; null: those that fit best", unit="MPa", gt=0
+    )
+    steps: int = option(10, "Limit of Gauss-Newton steps of the fit", gt=0)
+
+    def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
+        """Return the map, MPa.
+
+        Raises:
+            ConfigError: The mesh has no regions, or a region has no modulus.
+            ConvergenceError: The presses have an equilibrium with no uniform modulus.
+        """
+        mesh = problem.recording.mesh
+        if self.region_mpa:
+            return region_values(self.region_mpa, mesh, "initialization.region_mpa")
+        if mesh.regions is None:
+            raise ConfigError(
+                "initialization=regions: the mesh of the recording has no regions; make it with "
+                "tactorch body, or choose another initialization."
+            )
+        labels = np.unique(mesh.regions, return_inverse=True)[1].astype(np.int64)
         return fit_groups(problem, bounds, labels, steps=self.steps)
 
 

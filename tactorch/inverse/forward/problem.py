@@ -420,18 +420,16 @@ class InverseProblem:
             self._weight = gravity.numpy()
         self._readings = [PressReadings.of(press, self.body.discretisation) for press in presses]
         self.evaluations = 0
-        self._leases = self._share() if derivative_rtol else None
+        self._leases: list[SharedLease] | None = None
+        if derivative_rtol:  # presses of the same supports share factorisations
+            supports = [press.fixed.tobytes() + press.springs.tobytes() for press in presses]
+            self._leases = [self.body.shared_lease(key) for key in supports]
 
     @cached_property
     def _order(self) -> Int[np.ndarray, " presses"]:
         """Order of the presses, in which those that share factorisations are apart."""
         keys: list[Any] = list(self._leases or range(len(self.recording.presses)))
         return np.argsort([keys[:i].count(key) for i, key in enumerate(keys)], kind="stable")
-
-    def _share(self) -> list[SharedLease]:
-        """Return the factorisations that each press shares with those of the same supports."""
-        presses = self.recording.presses
-        return [self.body.shared_lease(p.fixed.tobytes() + p.springs.tobytes()) for p in presses]
 
     def _check_nuisance(self) -> None:
         """Refuse nuisance parameters that probes and other readings do not have."""
@@ -509,7 +507,6 @@ class InverseProblem:
             starts = near.predict(youngs)
 
         contacts = self._contacts
-
         made: dict[int, tuple[PressModel, Newton]] = {}
 
         def make(i: int, after: Newton | None = None) -> tuple[PressModel, Newton]:

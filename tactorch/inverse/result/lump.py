@@ -110,14 +110,6 @@ class Elongation:
         widths = " x ".join(f"{width:.2g}" for width in self.widths_mm)
         return f"{self.length_mm:.2g} mm long along ({along}) and {widths} mm across"
 
-    def plain(self) -> dict[str, object]:
-        """Return plain values: mm, and the direction."""
-        return {
-            "length_mm": self.length_mm,
-            "widths_mm": list(self.widths_mm),
-            "direction": self.direction.tolist(),
-        }
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Lump(Summarized):
@@ -147,7 +139,7 @@ class Lump(Summarized):
 
     def stored(self) -> dict[str, Any]:
         """Return all as plain JSON values; the inverse of `of_stored`."""
-        plain: dict[str, Any] = to_plain(self)
+        plain = to_plain(self)
         plain["inclusion"]["elements"] = np.flatnonzero(self.inclusion.elements).tolist()
         return plain
 
@@ -180,7 +172,7 @@ class Lump(Summarized):
         if (depths := self.depth_90_mm) is not None:
             values["depth_90_mm"] = list(depths)
         if self.elongation is not None:
-            values |= self.elongation.plain()
+            values |= to_plain(self.elongation)
         if confidence is not None:
             values |= {
                 "probability": confidence.probability,

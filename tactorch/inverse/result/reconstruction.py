@@ -233,8 +233,7 @@ class Reconstruction(Displayed):
 
     def summary(self) -> str:
         """Return a description of the result in a few lines of text."""
-        text: str = VIEWS["summarize"](self)
-        return text
+        return VIEWS["summarize"](self)
 
     def report(
         self, path: str | Path, recording: "Recording | None" = None, **options: Any
@@ -246,8 +245,7 @@ class Reconstruction(Displayed):
             recording: Presses of the inversion. Without them the report has only the field.
             options: Options of `tactorch.report.write_report`.
         """
-        written: Path = VIEWS["report_of"](self, path, recording, **options)
-        return written
+        return VIEWS["report_of"](self, path, recording, **options)
 
     def save(self, path: str | Path) -> Path:
         """Write to HDF5 atomically."""
