@@ -98,17 +98,14 @@ class ElementField(ModulusField):
 
     @property
     def limits(self) -> tuple[Vector, Vector]:  # type: ignore[override]
-        """Bounds of Young's modulus, as coefficients."""
         low, high = self.parameterization.limits
         return np.full(self.size, low), np.full(self.size, high)
 
     @property
     def max_step(self) -> Vector:  # type: ignore[override]
-        """Largest change of each coefficient in one damped Newton step."""
         return np.full(self.size, self.parameterization.max_step)
 
     def at(self, x: Vector) -> FieldPoint:
-        """Return the field with these coefficients; moduli are within the bounds."""
         return _ElementPoint(self, x)
 
 
@@ -129,23 +126,19 @@ class _ElementPoint(FieldPoint):
 
     @cached_property
     def youngs(self) -> Float[np.ndarray, " elements"]:  # type: ignore[override]
-        """Young's modulus of each element, MPa."""
         groups = self.field.groups
         return self._moduli if groups is None else self._moduli[groups]
 
     @cached_property
     def penalty(self) -> float:  # type: ignore[override]
-        """The prior without its weight."""
         return self.field.prior.value(np.log(self._moduli))
 
     @cached_property
     def penalty_gradient(self) -> Vector:  # type: ignore[override]
-        """Its gradient with respect to x."""
         return self._slope / self._moduli * self.field.prior.gradient(np.log(self._moduli))
 
     @cached_property
     def penalty_curvature(self) -> sp.csr_matrix:
-        """Its curvature with respect to x."""
         chain = sp.diags(self._slope / self._moduli)
         return (chain @ self.field.prior.curvature(np.log(self._moduli)) @ chain).tocsr()
 

@@ -85,9 +85,8 @@ def lead(result: Reconstruction) -> str:
     if not result.lumps:
         modulus = format_modulus(result.background_mpa)
         return f"Young's modulus is {modulus} and nearly uniform where the presses resolve it."
-    lump, first = result.lumps[0], ""
-    if len(result.lumps) > 1:
-        first = f"{_headline(lump)}. "
+    lump = result.lumps[0]
+    first = f"{_headline(lump)}. " if len(result.lumps) > 1 else ""
     depth, diameter = lump.depth, 2 * lump.inclusion.equivalent_radius_mm
     centre = "" if depth is None else f"its centre {depth.center_mm:.1f} mm below {depth.surface}, "
     point = _point(lump.inclusion.center_mm)

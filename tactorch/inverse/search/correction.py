@@ -195,16 +195,13 @@ class Correction:
             ConvergenceError: a press has no equilibrium on its finer mesh.
             ConfigError: a finer mesh has too many elements.
         """
-        model = _Model(fit, evaluation)
+        model = _Model(fit, evaluation, evaluation.predicted, check)
         every = [_LoadSeries.of(numbers, model.predicted) for numbers, _ in self.contacts]
         meshes, rims = self._plan(model.shapes)
-
-        jobs: list[Callable[[], dict[int, np.ndarray]]] = [
-            partial(self._rim_error, model, k, every[k], check) for k in rims
-        ]
+        jobs = [partial(self._rim_error, model, k, every[k]) for k in rims]
         for mesh in meshes:
             chosen = [every[k] for k in mesh.contacts]
-            jobs.append(partial(self._inclusion_error, model, mesh, chosen, check))
+            jobs.append(partial(self._inclusion_error, model, mesh, chosen))
         offsets = [np.zeros_like(values) for values in model.predicted]
         for changes in map_cases(lambda k: jobs[k](), len(jobs)):
             for series in every:
@@ -255,11 +252,7 @@ class Correction:
         return loaded_nodes(self.recording.presses[self.contacts[k][0][0]], self.recording.mesh)
 
     def _inclusion_error(
-        self,
-        model: "_Model",
-        finer: _FinerMesh,
-        every: Sequence[_LoadSeries],
-        check: Callable[[], None],
+        self, model: "_Model", finer: _FinerMesh, every: Sequence[_LoadSeries]
     ) -> dict[int, Float[np.ndarray, " _"]]:
         """Return the changes of the data by a mesh whose faces follow the inclusions, mm."""
         refinement = refine(self.recording.mesh, finer.sizing)
@@ -272,25 +265,25 @@ class Correction:
         )
         fine = replace(fine, mesh=conforming.mesh)
         youngs = partial(model.youngs_beside, conforming.sides)
-        return self._changes(model, fine, youngs, every, check)
+        return self._changes(model, fine, youngs, every)
 
     def _rim_error(
-        self, model: "_Model", k: int, series: _LoadSeries, check: Callable[[], None]
+        self, model: "_Model", k: int, series: _LoadSeries
     ) -> dict[int, Float[np.ndarray, " _"]]:
         """Return the error at the rim of contact k, mm; a former one where the moduli remain."""
         presses, mesh = self.recording.presses, self.recording.mesh
         rim = self.contacts[k][1]
         assert rim is not None
         key = press_key(self.recording, [presses[i] for i in series.ends])
-        log_youngs = model.log_youngs_at(mesh.points[self._loaded(k)])
+        log_youngs = model.log_youngs(Sites.at(mesh.points[self._loaded(k)]))
         kept = self.kept.errors.get(key)
         if kept is None or np.abs(kept.log_youngs - log_youngs).max() > _SAME_MODULI:
-            check()
+            model.check()
             refinement = refine(mesh, rim.sizing(_AT_RIM, _GROWTH, _UNDER_CONTACT))
             changes = {i: np.zeros_like(model.predicted[i]) for i in series.ends}
             if len(refinement.ends):
                 fine = prolong_recording(self.recording, refinement, smooth_tractions=True)
-                changes = self._changes(model, fine, model.youngs, [series], check)
+                changes = self._changes(model, fine, model.youngs, [series])
             kept = RimError(log_youngs, tuple(changes[i] for i in series.ends))
             self.kept.errors[key] = kept
         return dict(zip(series.ends, kept.changes, strict=True))
@@ -301,7 +294,6 @@ class Correction:
         fine: Recording,
         youngs_of: Callable[[Sites], Float[np.ndarray, "m q"]],
         every: Sequence[_LoadSeries],
-        check: Callable[[], None],
     ) -> dict[int, Float[np.ndarray, " _"]]:
         """Return the changes of the data of the presses at the ends of each series, mm.
 
@@ -310,7 +302,6 @@ class Correction:
             fine: The presses on a finer mesh.
             youngs_of: Moduli (MPa) at its quadrature points.
             every: The series.
-            check: See `offsets`.
         """
         body = make_body(fine, self.element, self.solver, _NEWTON)
         youngs = youngs_of(Sites.of(body.assembly))
@@ -323,7 +314,7 @@ class Correction:
             found: dict[int, np.ndarray] = {}
             change = np.zeros((body.n_nodes, 3))
             for i in series.ends:
-                check()
+                model.check()
                 one = replace(fine, presses=(fine.presses[i],))
                 problem = InverseProblem(
                     one, body=body, noise=self.noise, contact_mpa=self.contact_mpa,
@@ -349,20 +340,19 @@ class _Model:
 
     fit: ShapeFit
     evaluation: Evaluation
+    predicted: list[Float[np.ndarray, " _"]]  # of each press
+    check: Callable[[], None]  # see `Correction.offsets`
 
     @cached_property
     def shapes(self) -> list[InclusionShape]:
         """The inclusions."""
         return list(self.fit.field.shapes(self.fit.z))
 
-    @property
-    def predicted(self) -> list[Float[np.ndarray, " _"]]:
-        """Predictions of each press."""
-        return self.evaluation.predicted
-
-    def log_youngs_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-        """Return the logarithm of the modulus (MPa) at points (mm)."""
-        return np.asarray(self.fit.field.log_youngs(self.fit.z, Sites.at(points)))
+    def log_youngs(
+        self, sites: Sites, fractions: Sequence[Float[np.ndarray, " m"]] = ()
+    ) -> Float[np.ndarray, " volumes"]:
+        """Return the logarithms of the moduli (MPa), see `ShapeField.log_youngs`."""
+        return self.fit.field.log_youngs(self.fit.z, sites, fractions)
 
     def conforming(self, refinement: Refinement) -> Conforming:
         """Return a mesh whose faces follow the inclusions."""
@@ -372,7 +362,7 @@ class _Model:
 
     def youngs(self, sites: Sites) -> Float[np.ndarray, "m q"]:
         """Return the moduli (MPa) at quadrature points of elements that boundaries may cross."""
-        return np.exp(self.fit.field.log_youngs(self.fit.z, sites)).reshape(sites.shape)
+        return np.exp(self.log_youngs(sites)).reshape(sites.shape)
 
     def youngs_beside(
         self, sides: Int[np.ndarray, "shapes m"], sites: Sites
@@ -388,5 +378,4 @@ class _Model:
             fraction, crossed = (side < 0).astype(np.float64), np.flatnonzero(side == 0)
             fraction[crossed] = sites.fraction_inside(shape, crossed)
             fractions.append(fraction)
-        field, z = self.fit.field, self.fit.z
-        return np.exp(field.log_youngs(z, sites, fractions)).reshape(sites.shape)
+        return np.exp(self.log_youngs(sites, fractions)).reshape(sites.shape)
