@@ -302,8 +302,8 @@ class Reconstruction(Displayed):
         is `trusted`, `youngs_element_map_mpa` where an element map was computed beside inclusions,
         and `youngs_true_mpa`.
         """
-        cells = {"youngs_mpa": self.youngs, "trusted": np.full(len(self.youngs), not self.reasons)}
-        cells["trusted"] = cells["trusted"].astype(float)
+        trusted = np.full(len(self.youngs), float(not self.reasons))
+        cells = {"youngs_mpa": self.youngs, "trusted": trusted}
         if (ends := self.intervals()) is not None:
             cells["youngs_90_low_mpa"], cells["youngs_90_high_mpa"] = ends
         if self.shapes is not None and self.other is not None:

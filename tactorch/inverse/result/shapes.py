@@ -220,10 +220,8 @@ class ShapeReconstruction(Displayed):
     @cached_property
     def inclusions(self) -> list[ShapeInclusion]:
         """The inclusions with their intervals, those of the largest log-odds first."""
-        inclusions = [
-            self._inclusion(k, shape) for k, shape in enumerate(self.field.shapes(self.estimate))
-        ]
-        return [inclusions[k] for k in self.order]
+        shapes = list(self.field.shapes(self.estimate))
+        return [self._inclusion(k, shapes[k]) for k in self.order]
 
     @property
     def order(self) -> tuple[int, ...]:
@@ -270,5 +268,4 @@ def _sites(mesh: TetMesh) -> Sites:
 
 
 def _interval(values: Float[np.ndarray, " draws"]) -> Interval:
-    low, high = np.quantile(values, [0.05, 0.95])
-    return Interval(float(low), float(high))
+    return Interval(*np.quantile(values, [0.05, 0.95]).tolist())

@@ -60,29 +60,18 @@ _AT_EDGE_MM = 1e-6  # distance of nodes from an edge that they are on
 
 
 class _FinerMesh(NamedTuple):
-    """A mesh that is fine at the inclusions.
+    """A mesh that is fine at the inclusions."""
 
-    Attributes:
-        contacts: Contacts whose presses are solved on it.
-        sizing: Longest edges.
-        has_rims: Whether it is also fine at the rims of these contacts.
-    """
-
-    contacts: list[int]
+    contacts: list[int]  # whose presses are solved on it
     sizing: Sizing
-    has_rims: bool
+    has_rims: bool  # whether it is also fine at the rims of these contacts
 
 
 class _LoadSeries(NamedTuple):
-    """Presses of one contact, which differ by a factor.
+    """Presses of one contact, which differ by a factor."""
 
-    Attributes:
-        factors: Displacement of each press over the largest.
-        ends: Presses of the smallest and largest displacement, or one press.
-    """
-
-    factors: dict[int, float]
-    ends: tuple[int, ...]
+    factors: dict[int, float]  # displacement of each press over the largest
+    ends: tuple[int, ...]  # presses of the smallest and largest displacement, or one press
 
     @staticmethod
     def of(contact: Sequence[int], predicted: Sequence[Float[np.ndarray, " _"]]) -> "_LoadSeries":
@@ -297,11 +286,8 @@ class Correction:
     ) -> dict[int, Float[np.ndarray, " _"]]:
         """Return the changes of the data of the presses at the ends of each series, mm.
 
-        Args:
-            model: The model.
-            fine: The presses on a finer mesh.
-            youngs_of: Moduli (MPa) at its quadrature points.
-            every: The series.
+        `fine` are the presses on a finer mesh, and `youngs_of` the moduli (MPa) at its quadrature
+        points.
         """
         body = make_body(fine, self.element, self.solver, _NEWTON)
         youngs = youngs_of(Sites.of(body.assembly))
@@ -367,11 +353,9 @@ class _Model:
     def youngs_beside(
         self, sides: Int[np.ndarray, "shapes m"], sites: Sites
     ) -> Float[np.ndarray, "m q"]:
-        """Return the moduli (MPa) at quadrature points of elements on one side of each inclusion.
+        """Return the moduli (MPa) at quadrature points of elements on these sides of inclusions.
 
-        Args:
-            sides: Side of each inclusion on which each element is, see `Conforming`.
-            sites: Quadrature points.
+        See `Conforming` for the sides.
         """
         fractions = []
         for shape, side in zip(self.shapes, sides, strict=True):
