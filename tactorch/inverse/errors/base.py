@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from tactorch.inverse.data.observations import DataModel
 from tactorch.inverse.errors.kept import KeptRims
-from tactorch.inverse.forward.problem import Evaluation, InverseProblem
+from tactorch.inverse.forward.problem import Columns, Evaluation, InverseProblem
 
 # Norm of a change of the data that is left out, in standard deviations: it would widen the noise in
 # its direction by 4 %.
@@ -41,9 +41,7 @@ class MeasuredPresses:
         assert self.linearised is not None
         return self.linearised
 
-    def joined(
-        self, parts: Mapping[int, Float[np.ndarray, "_ k"]], count: int
-    ) -> Float[np.ndarray, "data k"]:
+    def joined(self, parts: Mapping[int, Float[np.ndarray, "_ k"]], count: int) -> Columns:
         """Return `count` columns of the first data of some presses as columns of all data."""
         blocks = [np.zeros((rows, count)) for rows in self.problem.data.counts]
         for press, part in parts.items():
@@ -78,7 +76,7 @@ class ErrorSource(ABC):
         return 0.0
 
     @abstractmethod
-    def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"] | sp.csr_matrix:
+    def patterns(self, presses: MeasuredPresses) -> Columns | sp.csr_matrix:
         """Return changes of the data by independent errors of unit deviation, (data, k).
 
         They are sparse where each changes one press only and there are many. The unit is the
@@ -90,7 +88,7 @@ class ErrorSource(ABC):
         return self.note.format(level) if level >= self.noted else ""
 
 
-def principal(columns: Float[np.ndarray, "data k"], smallest: float) -> Float[np.ndarray, "data q"]:
+def principal(columns: Columns, smallest: float) -> Float[np.ndarray, "data q"]:
     """Return orthogonal columns of the same covariance, of norms above `smallest`."""
     basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     kept = sizes > smallest

@@ -44,7 +44,6 @@ class DiscretisationRemainder(ErrorSource):
         return None if presses.corrections_mm is None else _REMAINING
 
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data contacts"]:
-        """Return the corrections of each contact."""
         data, offsets = presses.problem.data.observations, presses.corrections_mm
         assert offsets is not None
         columns = [presses.joined({}, 0)]

@@ -64,7 +64,6 @@ class Pose(RigidMotion):
         return 0.0 if presses.corrections_mm is None else _LEAST
 
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
-        """Return the changes of the data by motions of contacts and of probes."""
         columns = [super().patterns(presses)]
         if presses.problem.recording.has_probes:
             motions = presses.evaluation.probe_motions()

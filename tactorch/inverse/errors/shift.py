@@ -33,7 +33,6 @@ class ContactShift(ErrorSource):
         return 0.0 if any(p.forces.any() for p in presses.problem.recording.presses) else None
 
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
-        """Return the changes of the data by shifts along two directions of each contact."""
         recording = presses.problem.recording
 
         def work(k: int) -> np.ndarray:

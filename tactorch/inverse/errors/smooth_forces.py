@@ -39,7 +39,6 @@ class SmoothForces(ErrorSource):
         return 0.0 if isinstance(presses.problem, PalpationProblem) else None
 
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
-        """Return the changes of the data by smooth errors."""
         problem = presses.problem
         assert isinstance(problem, PalpationProblem)
         contacts = np.array([place.contact_mm for place in problem.indentation.places])

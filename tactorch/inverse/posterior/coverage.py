@@ -11,6 +11,7 @@ from tactorch.inverse.posterior.gaussian import normal_quantile
 
 # Truth, mean and standard deviation of each element, in the posterior's parameter.
 Estimate = tuple[np.ndarray, np.ndarray, np.ndarray]
+_Levels = Float[np.ndarray, " k"]
 _LEVELS = np.linspace(0.05, 0.95, 19)
 
 
@@ -51,16 +52,12 @@ def coverage(
     return Coverage(level, sum(float(hit @ weight) for hit, weight in pairs) / total, per_object)
 
 
-def calibration_curve(
-    objects: Sequence[Estimate], levels: Float[np.ndarray, " k"] = _LEVELS
-) -> Float[np.ndarray, " k"]:
+def calibration_curve(objects: Sequence[Estimate], levels: _Levels = _LEVELS) -> _Levels:
     """Return the covered fraction at each level; equal to the levels if deviations are exact."""
     return np.array([coverage(objects, float(level)).fraction for level in levels])
 
 
-def calibration_error(
-    objects: Sequence[Estimate], levels: Float[np.ndarray, " k"] = _LEVELS
-) -> float:
+def calibration_error(objects: Sequence[Estimate], levels: _Levels = _LEVELS) -> float:
     """Return the mean distance of the covered fraction from the level; 0 is perfect."""
     return float(np.abs(calibration_curve(objects, levels) - levels).mean())
 

@@ -58,6 +58,8 @@ _SAME_MODULI = 0.1
 _NEWTON = NewtonOptions(rtol=5e-3)
 _AT_EDGE_MM = 1e-6  # distance of nodes from an edge that they are on
 
+_Data = Float[np.ndarray, " _"]  # of a press, mm
+
 
 class _FinerMesh(NamedTuple):
     """A mesh that is fine at the inclusions."""
@@ -74,7 +76,7 @@ class _LoadSeries(NamedTuple):
     ends: tuple[int, ...]  # presses of the smallest and largest displacement, or one press
 
     @staticmethod
-    def of(contact: Sequence[int], predicted: Sequence[Float[np.ndarray, " _"]]) -> "_LoadSeries":
+    def of(contact: Sequence[int], predicted: Sequence[_Data]) -> "_LoadSeries":
         """Return the presses of a contact, whose factors are projections of predictions."""
         last = predicted[max(contact, key=lambda i: float(predicted[i] @ predicted[i]))]
         factors = {i: float(predicted[i] @ last) / float(last @ last) for i in contact}
@@ -82,9 +84,7 @@ class _LoadSeries(NamedTuple):
         distinct = _MIN_FACTOR < factors[ends[0]] < _MAX_FACTOR
         return _LoadSeries(factors, ends if distinct else ends[1:])
 
-    def interpolate(
-        self, changes: Mapping[int, Float[np.ndarray, " _"]]
-    ) -> dict[int, Float[np.ndarray, " _"]]:
+    def interpolate(self, changes: Mapping[int, _Data]) -> dict[int, _Data]:
         """Return the changes of all presses from those at the ends, which vanish without a load."""
         *first, last = self.ends
         slope = changes[last]
@@ -242,7 +242,7 @@ class Correction:
 
     def _inclusion_error(
         self, model: "_Model", finer: _FinerMesh, every: Sequence[_LoadSeries]
-    ) -> dict[int, Float[np.ndarray, " _"]]:
+    ) -> dict[int, _Data]:
         """Return the changes of the data by a mesh whose faces follow the inclusions, mm."""
         refinement = refine(self.recording.mesh, finer.sizing)
         if not len(refinement.ends):
@@ -256,9 +256,7 @@ class Correction:
         youngs = partial(model.youngs_beside, conforming.sides)
         return self._changes(model, fine, youngs, every)
 
-    def _rim_error(
-        self, model: "_Model", k: int, series: _LoadSeries
-    ) -> dict[int, Float[np.ndarray, " _"]]:
+    def _rim_error(self, model: "_Model", k: int, series: _LoadSeries) -> dict[int, _Data]:
         """Return the error at the rim of contact k, mm; a former one where the moduli remain."""
         presses, mesh = self.recording.presses, self.recording.mesh
         rim = self.contacts[k][1]
@@ -283,7 +281,7 @@ class Correction:
         fine: Recording,
         youngs_of: Callable[[Sites], Float[np.ndarray, "m q"]],
         every: Sequence[_LoadSeries],
-    ) -> dict[int, Float[np.ndarray, " _"]]:
+    ) -> dict[int, _Data]:
         """Return the changes of the data of the presses at the ends of each series, mm.
 
         `fine` are the presses on a finer mesh, and `youngs_of` the moduli (MPa) at its quadrature
@@ -326,7 +324,7 @@ class _Model:
 
     fit: ShapeFit
     evaluation: Evaluation
-    predicted: list[Float[np.ndarray, " _"]]  # of each press
+    predicted: list[_Data]  # of each press
     check: Callable[[], None]  # see `Correction.offsets`
 
     @cached_property
