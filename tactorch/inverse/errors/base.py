@@ -41,12 +41,16 @@ class MeasuredPresses:
         assert self.linearised is not None
         return self.linearised
 
-    def joined(self, parts: Mapping[int, Float[np.ndarray, "_ k"]], count: int) -> Columns:
-        """Return `count` columns of the first data of some presses as columns of all data."""
-        blocks = [np.zeros((rows, count)) for rows in self.problem.data.counts]
-        for press, part in parts.items():
-            blocks[press][: len(part)] = part
-        return np.vstack(blocks)
+    def joined(self, parts: Iterable[Mapping[int, Float[np.ndarray, "_ _"]]]) -> Columns:
+        """Return columns of the first data of some presses, several times, as those of all data."""
+        columns = [np.zeros((sum(self.problem.data.counts), 0))]
+        for part in filter(None, parts):
+            width = next(iter(part.values())).shape[1]
+            blocks = [np.zeros((rows, width)) for rows in self.problem.data.counts]
+            for press, values in part.items():
+                blocks[press][: len(values)] = values
+            columns.append(np.vstack(blocks))
+        return np.hstack(columns)
 
 
 class ErrorSource(ABC):

@@ -48,7 +48,7 @@ class Rims(ErrorSource):
         evaluation, recording = presses.evaluation, presses.problem.recording
         known = presses.kept.responses
 
-        def work(k: int) -> np.ndarray:
+        def work(k: int) -> dict[int, np.ndarray]:
             numbers, rim = presses.rims[k]
             chosen = [recording.presses[i] for i in numbers]
             key = press_key(recording, chosen)
@@ -58,9 +58,9 @@ class Rims(ErrorSource):
             blocks = [s[:, None] * block for s, block in zip(scales, known[key], strict=True)]
             columns = principal(np.vstack(blocks), self.smallest)
             parts = np.split(columns, np.cumsum([len(block) for block in blocks])[:-1])
-            return presses.joined(dict(zip(numbers, parts, strict=True)), columns.shape[1])
+            return dict(zip(numbers, parts, strict=True))
 
-        return np.hstack([presses.joined({}, 0), *map_cases(work, len(presses.rims))])
+        return presses.joined(map_cases(work, len(presses.rims)))
 
 
 def _responses(

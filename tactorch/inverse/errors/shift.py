@@ -35,13 +35,12 @@ class ContactShift(ErrorSource):
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
         recording = presses.problem.recording
 
-        def work(k: int) -> np.ndarray:
+        def work(k: int) -> dict[int, np.ndarray]:
             forces = {i: recording.presses[i].forces for i in presses.contacts[k]}
             loads = {i: shifted_forces(recording.mesh, f) for i, f in forces.items() if f.any()}
-            changes = {i: presses.evaluation.load_response(i, [*f]) for i, f in loads.items()}
-            return presses.joined(changes, 2 if loads else 0)
+            return {i: presses.evaluation.load_response(i, [*f]) for i, f in loads.items()}
 
-        return np.hstack(map_cases(work, len(presses.contacts)))
+        return presses.joined(map_cases(work, len(presses.contacts)))
 
 
 def shifted_forces(mesh: TetMesh, forces: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "2 n 3"]:
