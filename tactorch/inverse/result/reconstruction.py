@@ -22,11 +22,12 @@ from tactorch.hdf5 import (
 )
 from tactorch.inverse.data.nuisance import NuisanceEstimate
 from tactorch.inverse.data.plain import to_plain, with_arrays
-from tactorch.inverse.posterior.gaussian import GaussianPosterior, normal_quantile
+from tactorch.inverse.posterior.gaussian import GaussianPosterior
 from tactorch.inverse.result.lump import Lump
 from tactorch.inverse.result.regions import build_lump, find_lumps
 from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.mesh import TetMesh, locate, write_mesh
+from tactorch.metrics.coverage import normal_quantile
 
 if TYPE_CHECKING:
     import h5py

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import ndtri
 
 from tactorch.errors import ConfigError
-from tactorch.inverse.posterior.gaussian import normal_quantile
 
 # Truth, mean and standard deviation of each element, in the posterior's parameter.
 Estimate = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -27,6 +27,13 @@ class Coverage(NamedTuple):
     level: float
     fraction: float
     per_object: Float[np.ndarray, " objects"]
+
+
+def normal_quantile(level: float) -> float:
+    """Return half the width of the central normal interval of a level, in standard deviations."""
+    if not 0 < level < 1:
+        raise ConfigError(f"level={level} must lie between 0 and 1, such as 0.95.")
+    return float(ndtri(0.5 + 0.5 * level))
 
 
 def coverage(
