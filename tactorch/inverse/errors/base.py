@@ -108,7 +108,6 @@ class ErrorModel:
         requested: Names of those that are taken into account on request.
 
     Attributes:
-        presses: The presses.
         errors: Errors that occur.
         least: Their deviations in the simplest model.
     """

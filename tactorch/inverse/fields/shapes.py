@@ -196,10 +196,7 @@ class ShapeField:
         return self.background.derivative(self.prior, sites.centers)
 
     def log_youngs(
-        self,
-        z: Vector,
-        sites: Sites,
-        fractions: Sequence[Float[np.ndarray, " elements"]] = (),
+        self, z: Vector, sites: Sites, fractions: Sequence[Float[np.ndarray, " elements"]] = ()
     ) -> np.ndarray:
         """Return the log-modulus of each volume, log MPa.
 

@@ -128,7 +128,6 @@ class PalpationEvaluation(Evaluation):
         return (self._body.rates.T @ rows).astype(np.float64).reshape(self.youngs.shape)
 
     def second_order_times(self, change: Moduli) -> Moduli:
-        """Not known."""
         raise ConfigError("The exact Hessian is not known for presses by a probe.")
 
 

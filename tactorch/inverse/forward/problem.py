@@ -556,17 +556,12 @@ class InverseProblem:
             parts = max(worker_count(), len(numbers) // _AT_ONCE)
             chunks += [numbers[k::parts] for k in range(parts) if numbers[k::parts]]
 
-        def work(k: int) -> list[NodalField]:
+        def work(k: int) -> list[tuple[int, NodalField]]:
             chunk = chunks[k]
             pairs = [searches[i] for i in chunk], [starts[i] for i in chunk]
-            return approach(*pairs, leases[chunk[0]])
+            return list(zip(chunk, approach(*pairs, leases[chunk[0]]), strict=True))
 
-        found = map_cases(work, len(chunks))
-        return {
-            i: u
-            for chunk, fields in zip(chunks, found, strict=True)
-            for i, u in zip(chunk, fields, strict=True)
-        }
+        return dict(pair for part in map_cases(work, len(chunks)) for pair in part)
 
 
 def make_body(

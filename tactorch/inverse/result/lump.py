@@ -165,8 +165,8 @@ class Lump(Summarized):
     def plain(self) -> dict[str, Any]:
         """Return plain values for users: mm, MPa, mm^3."""
         inclusion, depth, confidence = self.inclusion, self.depth, self.confidence
-        values = inclusion.plain()
-        values |= {"contrast": float(inclusion.contrast), "size_mm": self.size_mm.tolist()}
+        sizes = {"contrast": float(inclusion.contrast), "size_mm": self.size_mm.tolist()}
+        values = inclusion.plain() | sizes
         if depth is not None:
             values |= {
                 "depth_mm": depth.center_mm,

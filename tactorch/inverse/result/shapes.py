@@ -140,11 +140,9 @@ class ShapeReconstruction(Displayed):
     def summary(self) -> str:
         """Return a description of the result in a few lines of text."""
         count = len(self.field.parts)
-        lines = [
-            f"{count} inclusion{'' if count == 1 else 's'} in {self.background_mpa:.3g} MPa, "
-            f"chi2 {self.chi2:.3g}"
-        ]
-        return "\n".join([*lines, *(found.summary() for found in self.inclusions)])
+        inclusions = f"{count} inclusion{'' if count == 1 else 's'}"
+        first = f"{inclusions} in {self.background_mpa:.3g} MPa, chi2 {self.chi2:.3g}"
+        return "\n".join([first, *(found.summary() for found in self.inclusions)])
 
     @property
     def force_deviation(self) -> float:

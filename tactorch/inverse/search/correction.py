@@ -27,7 +27,7 @@ from tactorch.inverse.errors.kept import KeptRims, RimError, press_key
 from tactorch.inverse.fields import InclusionShape, Sites
 from tactorch.inverse.fit.shapes import ShapeFit
 from tactorch.inverse.forward.footprint import loaded_nodes
-from tactorch.inverse.forward.problem import Evaluation, InverseProblem, make_body
+from tactorch.inverse.forward.problem import Evaluation, InverseProblem, Moduli, make_body
 from tactorch.inverse.search.sizing import (
     Rim,
     inclusion_sizing,
@@ -279,7 +279,7 @@ class Correction:
         self,
         model: "_Model",
         fine: Recording,
-        youngs_of: Callable[[Sites], Float[np.ndarray, "m q"]],
+        youngs_of: Callable[[Sites], Moduli],
         every: Sequence[_LoadSeries],
     ) -> dict[int, _Data]:
         """Return the changes of the data of the presses at the ends of each series, mm.
@@ -344,13 +344,11 @@ class _Model:
         pairs = zip(self.shapes, volumes, strict=True)
         return conform(refinement, [ClosedSurface(s.distance, volume) for s, volume in pairs])
 
-    def youngs(self, sites: Sites) -> Float[np.ndarray, "m q"]:
+    def youngs(self, sites: Sites) -> Moduli:
         """Return the moduli (MPa) at quadrature points of elements that boundaries may cross."""
         return np.exp(self.log_youngs(sites)).reshape(sites.shape)
 
-    def youngs_beside(
-        self, sides: Int[np.ndarray, "shapes m"], sites: Sites
-    ) -> Float[np.ndarray, "m q"]:
+    def youngs_beside(self, sides: Int[np.ndarray, "shapes m"], sites: Sites) -> Moduli:
         """Return the moduli (MPa) at quadrature points of elements on these sides of inclusions.
 
         See `Conforming` for the sides.

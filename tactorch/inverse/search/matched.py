@@ -102,9 +102,7 @@ def _inside(mesh: TetMesh, grid: Float[np.ndarray, "n 3"], radius: float, half: 
 
 
 def _distance_to_rods(
-    points: Float[np.ndarray, "m 3"],
-    centers: Float[np.ndarray, "n 3"],
-    half: _Vector,
+    points: Float[np.ndarray, "m 3"], centers: Float[np.ndarray, "n 3"], half: _Vector
 ) -> Float[np.ndarray, "m n"]:
     """Return distances to the axes of rods, mm; to the centres of balls."""
     middle = centers.mean(axis=0) if len(centers) else np.zeros(3)

@@ -98,20 +98,19 @@ def contact_sizing(recording: Recording) -> Sizing:
     which is that of a disc of the area of the loaded surface triangles. Contacts that end at an
     edge of the body have no rim there.
     """
-    rims: dict[bytes, Rim | None] = {}
+    first: dict[bytes, Press] = {}  # of each contact
     for press in recording.presses:
         key = (press.forces != 0).any(axis=1).tobytes() + press.geometry_bytes()
-        if key not in rims:
-            rims[key] = Rim.of(press, recording.mesh)
+        first.setdefault(key, press)
+    rims = [rim for press in first.values() if (rim := Rim.of(press, recording.mesh))]
 
     def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         lengths = np.full(len(points), np.inf)
-        for rim in rims.values():
-            if rim is not None:
-                longest = _PER_CONTACT * rim.radius_mm
-                for tree in (rim.tree, rim.inside) if rim.of_probe else (rim.tree,):
-                    near = tree.query(points)[0] < longest
-                    lengths[near] = np.minimum(lengths[near], longest)
+        for rim in rims:
+            longest = _PER_CONTACT * rim.radius_mm
+            for tree in (rim.tree, rim.inside) if rim.of_probe else (rim.tree,):
+                near = tree.query(points)[0] < longest
+                lengths[near] = np.minimum(lengths[near], longest)
         return lengths
 
     return sizing
