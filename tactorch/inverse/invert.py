@@ -118,10 +118,8 @@ def invert(
         return element_map()
     try:
         found = _find(recording, settings, search)
-    except CancelledError:
-        raise
     except UNCOMPUTABLE as error:
-        if settings.method == "inclusions":
+        if settings.method == "inclusions" or isinstance(error, CancelledError):
             raise
         reason = str(error).rstrip(".") or "not enough memory"
         warning = f"No inclusions can be fitted ({reason}); this is the element map."

@@ -122,15 +122,16 @@ class ShapeSamples:
 
     def intervals(self) -> list[ShapeIntervals]:
         """Return central 90 % intervals of each inclusion, in the order of those of the result."""
-        return [self._intervals(self.inclusion(number)) for number in range(len(self.order))]
 
-    def _intervals(self, values: InclusionValues) -> ShapeIntervals:
         def interval(of: Float[np.ndarray, " draws"]) -> Interval:
             return Interval(*self.quantile(of, (0.05, 0.95)).tolist())
 
-        x, y, z = map(interval, values.center_mm.T)
-        others = (values.radius_mm, values.youngs_mpa, values.contrast)
-        return ShapeIntervals((x, y, z), *map(interval, others))
+        found = []
+        for values in map(self.inclusion, range(len(self.order))):
+            x, y, z = map(interval, values.center_mm.T)
+            others = (values.radius_mm, values.youngs_mpa, values.contrast)
+            found.append(ShapeIntervals((x, y, z), *map(interval, others)))
+        return found
 
     def plain(self) -> dict[str, Any]:
         """Return plain JSON values; the inverse of `of`."""

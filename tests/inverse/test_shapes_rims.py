@@ -129,7 +129,7 @@ def test_errors_at_rims_are_kept_while_the_moduli_there_remain(recording, proble
     """The meshes of a correction, by the number of their presses; their changes are ordinals."""
     meshes = []
 
-    def changes(self, model, fine, youngs_of, every, check):
+    def changes(self, model, fine, youngs_of, every):
         meshes.append(fine.mesh.n_tets)
         ends = [i for series in every for i in series.ends]
         return {i: np.full_like(model.predicted[i], len(meshes)) for i in ends}

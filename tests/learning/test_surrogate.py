@@ -20,7 +20,7 @@ from tactorch.inverse import (
     homogeneous,
     invert_map,
 )
-from tactorch.inverse.fit.starts import fits_better_than_uniform, uniform_fit
+from tactorch.inverse.fit.starts import uniform_fit
 from tactorch.learning.data import AugmentedSamples
 from tactorch.learning.recognizer import Recognizer
 from tactorch.learning.surrogate import Prediction, SurrogateStart
@@ -33,6 +33,7 @@ from tactorch.learning.surrogate.network import (
     export_weights,
     load_surrogate,
 )
+from tactorch.learning.surrogate.predict import fits_better_than_uniform
 from tactorch.learning.training import BEST, TrainerOptions, fit
 from tactorch.recording import Recording
 from tactorch.simulation import perturb_recording
@@ -260,7 +261,7 @@ def test_free_nuisance_parameters_do_not_hide_a_poor_map(recording: Recording) -
     known = problem.evaluate(np.full(problem.n_elements, plain)).chi2
     worse = np.full(problem.n_elements, 1.05 * plain)
     assert known < problem.evaluate(worse).chi2
-    assert not fits_better_than_uniform(worse, problem, bounds, "guessed")
+    assert not fits_better_than_uniform(worse, problem, bounds)
 
 
 @pytest.mark.parametrize(

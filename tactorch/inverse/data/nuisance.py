@@ -162,8 +162,7 @@ class NuisanceEstimate:
 
     def plain(self) -> dict[str, Any]:
         """Return the estimate as plain JSON values."""
-        values: dict[str, Any] = to_plain(self)
-        return values
+        return to_plain(self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,14 +44,12 @@ class DiscretisationRemainder(ErrorSource):
         return None if presses.corrections_mm is None else _REMAINING
 
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data contacts"]:
-        """Return the corrections of each contact."""
         data, offsets = presses.problem.data.observations, presses.corrections_mm
         assert offsets is not None
-        columns = [presses.joined({}, 0)]
-        for numbers in presses.contacts:
-            parts = {i: (offsets[i] * data[i].scale)[:, None] for i in numbers}
-            columns.append(presses.joined(parts, 1))
-        return np.hstack(columns)
+        return presses.joined(
+            {i: (offsets[i] * data[i].scale)[:, None] for i in numbers}
+            for numbers in presses.contacts
+        )
 
 
 class ModelError(NamedTuple):
@@ -147,11 +145,10 @@ def corrected(problem: InverseProblem, errors: Sequence[ModelError]) -> InverseP
         observations.append(replace(before, values=before.values - error.offset, scale=scale))
         pattern = smooth_pattern(points, observations[-1], error.deviation_mm)
         places.setdefault(before.index.tobytes(), {})[i] = pattern
-    patterns = [presses.joined(p, next(iter(p.values())).shape[1]) for p in places.values()]
     changed = replace(
         data,
         observations=tuple(observations),
-        correlated=CorrelatedNoise(np.hstack(patterns)),
+        correlated=CorrelatedNoise(presses.joined(places.values())),
         model_deviation=tuple(error.deviation_mm for error in errors),
     )
     share = float(np.mean((changed.scale / data.scale) ** 2))

@@ -27,7 +27,7 @@ class RigidMotion(ErrorSource):
         """
         points = presses.problem.recording.mesh.points
         observations = presses.problem.data.observations
-        patterns = [presses.joined({}, 0)]
+        patterns = []
         for contact in presses.contacts:
             index = observations[contact[0]].index
             if not len(index):
@@ -42,8 +42,8 @@ class RigidMotion(ErrorSource):
                 nodal = observations[i].nodal
                 size = np.linalg.norm(observations[i].values[nodal]) / np.sqrt(n_axes)
                 parts[i] = size * observations[i].scale[nodal, None] * fields
-            patterns.append(presses.joined(parts, fields.shape[1]))
-        return np.hstack(patterns)
+            patterns.append(parts)
+        return presses.joined(patterns)
 
 
 class Pose(RigidMotion):
@@ -64,14 +64,12 @@ class Pose(RigidMotion):
         return 0.0 if presses.corrections_mm is None else _LEAST
 
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
-        """Return the changes of the data by motions of contacts and of probes."""
-        columns = [super().patterns(presses)]
-        if presses.problem.recording.has_probes:
-            motions = presses.evaluation.probe_motions()
-            for place, depth in _places(presses.problem.recording):
-                parts = {i: depth * motions[i] for i in place}
-                columns.append(presses.joined(parts, 3))
-        return np.hstack(columns)
+        recording, contacts = presses.problem.recording, super().patterns(presses)
+        if not recording.has_probes:
+            return contacts
+        motions, places = presses.evaluation.probe_motions(), _places(recording)
+        parts = [{i: depth * motions[i] for i in place} for place, depth in places]
+        return np.hstack([contacts, presses.joined(parts)])
 
 
 def _places(recording: Recording) -> list[tuple[list[int], float]]:

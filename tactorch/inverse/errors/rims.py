@@ -17,6 +17,7 @@ from tactorch.inverse.errors.base import LEAST_CHANGE, ErrorSource, MeasuredPres
 from tactorch.inverse.errors.kept import press_key
 from tactorch.inverse.forward.problem import Evaluation
 from tactorch.linalg import map_cases
+from tactorch.mesh.topology import triangle_edges
 from tactorch.mesh.tractions import LoadedSurface
 
 # That of a gel that does not slip at an edge of the body, where the traction is singular: by the
@@ -47,7 +48,7 @@ class Rims(ErrorSource):
         evaluation, recording = presses.evaluation, presses.problem.recording
         known = presses.kept.responses
 
-        def work(k: int) -> np.ndarray:
+        def work(k: int) -> dict[int, np.ndarray]:
             numbers, rim = presses.rims[k]
             chosen = [recording.presses[i] for i in numbers]
             key = press_key(recording, chosen)
@@ -57,9 +58,9 @@ class Rims(ErrorSource):
             blocks = [s[:, None] * block for s, block in zip(scales, known[key], strict=True)]
             columns = principal(np.vstack(blocks), self.smallest)
             parts = np.split(columns, np.cumsum([len(block) for block in blocks])[:-1])
-            return presses.joined(dict(zip(numbers, parts, strict=True)), columns.shape[1])
+            return dict(zip(numbers, parts, strict=True))
 
-        return np.hstack([presses.joined({}, 0), *map_cases(work, len(presses.rims))])
+        return presses.joined(map_cases(work, len(presses.rims)))
 
 
 def _responses(
@@ -96,9 +97,8 @@ def rim_edges(
     """
     beside = np.isin(loaded.triangles, rim).any(axis=1)
     triangles, thirds = loaded.triangles[beside], loaded.areas[beside] / 3.0
-    edges = np.sort(np.concatenate([triangles[:, [a, (a + 1) % 3]] for a in range(3)]), axis=1)
-    ends, index = np.unique(edges, axis=0, return_inverse=True)
-    return ends, np.bincount(index.ravel(), np.tile(thirds, 3), minlength=len(ends))
+    ends, index = np.unique(triangle_edges(triangles), axis=0, return_inverse=True)
+    return ends, np.bincount(index.ravel(), np.repeat(thirds, 3), minlength=len(ends))
 
 
 def _midside_loads(

@@ -33,16 +33,14 @@ class ContactShift(ErrorSource):
         return 0.0 if any(p.forces.any() for p in presses.problem.recording.presses) else None
 
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
-        """Return the changes of the data by shifts along two directions of each contact."""
         recording = presses.problem.recording
 
-        def work(k: int) -> np.ndarray:
+        def work(k: int) -> dict[int, np.ndarray]:
             forces = {i: recording.presses[i].forces for i in presses.contacts[k]}
             loads = {i: shifted_forces(recording.mesh, f) for i, f in forces.items() if f.any()}
-            changes = {i: presses.evaluation.load_response(i, [*f]) for i, f in loads.items()}
-            return presses.joined(changes, 2 if loads else 0)
+            return {i: presses.evaluation.load_response(i, [*f]) for i, f in loads.items()}
 
-        return np.hstack(map_cases(work, len(presses.contacts)))
+        return presses.joined(map_cases(work, len(presses.contacts)))
 
 
 def shifted_forces(mesh: TetMesh, forces: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "2 n 3"]:

@@ -39,7 +39,6 @@ class SmoothForces(ErrorSource):
         return 0.0 if isinstance(presses.problem, PalpationProblem) else None
 
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
-        """Return the changes of the data by smooth errors."""
         problem = presses.problem
         assert isinstance(problem, PalpationProblem)
         contacts = np.array([place.contact_mm for place in problem.indentation.places])
@@ -79,8 +78,7 @@ def _modes(points: Float[np.ndarray, "places 3"]) -> Float[np.ndarray, "places k
     variances, vectors = np.linalg.eigh(np.exp(-0.5 * (apart / length) ** 2))
     kept = variances > _SMALLEST * variances[-1]
     modes = vectors[:, kept] * np.sqrt(variances[kept])
-    centred: np.ndarray = modes - modes.mean(axis=0)
-    return centred
+    return modes - modes.mean(axis=0)
 
 
 def correlation_length(points: Float[np.ndarray, "places 3"]) -> float:
@@ -101,8 +99,7 @@ def border_distances(points: Float[np.ndarray, "places 3"]) -> Float[np.ndarray,
     at_border = _is_at_border(points)
     if not at_border.any():
         return np.full(len(points), np.inf)
-    distances: np.ndarray = cKDTree(points[at_border]).query(points)[0]
-    return distances
+    return cKDTree(points[at_border]).query(points)[0]
 
 
 def _is_at_border(points: Float[np.ndarray, "places 3"]) -> Bool[np.ndarray, " places"]:
@@ -113,5 +110,4 @@ def _is_at_border(points: Float[np.ndarray, "places 3"]) -> Bool[np.ndarray, " p
     apart = flat[neighbours[:, 1:]] - flat[:, None]
     angles = np.sort(np.arctan2(apart[..., 1], apart[..., 0]), axis=1)
     around = np.concatenate([angles, angles[:, :1] + 2.0 * np.pi], axis=1)
-    is_gap: np.ndarray = np.diff(around, axis=1).max(axis=1) > _GAP
-    return is_gap
+    return np.diff(around, axis=1).max(axis=1) > _GAP

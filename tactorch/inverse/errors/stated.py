@@ -29,13 +29,12 @@ class Stated(ErrorSource):
 
     def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
         """Return orthogonal changes of each press, whose covariance is that of its errors."""
-        recording, evaluation = presses.problem.recording, presses.evaluation
+        each, evaluation = presses.problem.recording.presses, presses.evaluation
 
         def work(i: int) -> np.ndarray:
-            columns = _residuals(evaluation, recording.presses[i], i)
-            return principal(columns, self.smallest)
+            return principal(_residuals(evaluation, each[i], i), self.smallest)
 
-        return sp.block_diag(map_cases(work, len(recording.presses))).toarray()
+        return sp.block_diag(map_cases(work, len(each))).toarray()
 
 
 def _residuals(evaluation: Evaluation, press: Press, number: int) -> Float[np.ndarray, "data q"]:

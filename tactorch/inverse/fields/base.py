@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from tactorch.errors import ConfigError
 from tactorch.inverse.fields.parameterization import Parameterization
 from tactorch.inverse.fields.regularization.base import Regularizer
-from tactorch.inverse.forward.problem import Evaluation
+from tactorch.inverse.forward.problem import Evaluation, Moduli
 
 Vector = Float[np.ndarray, " size"]
 
@@ -26,17 +26,17 @@ class FieldPoint(ABC):
         penalty_curvature: Positive semi-definite approximation of its Hessian.
     """
 
-    youngs: Float[np.ndarray, "m *q"]
+    youngs: Moduli
     penalty: float
     penalty_gradient: Vector
     penalty_curvature: sp.csr_matrix
 
     @abstractmethod
-    def youngs_change(self, change: Vector) -> Float[np.ndarray, "m *q"]:
+    def youngs_change(self, change: Vector) -> Moduli:
         """Return the change of `youngs` (MPa) by a change of x, to first order."""
 
     @abstractmethod
-    def transpose_times(self, weights: Float[np.ndarray, "m *q"]) -> Vector:
+    def transpose_times(self, weights: Moduli) -> Vector:
         """Return the transpose of d youngs / d x times weights."""
 
     @abstractmethod
@@ -44,7 +44,7 @@ class FieldPoint(ABC):
         """Return d residuals / d x."""
 
     def second_derivative_times(
-        self, weights: Float[np.ndarray, "m *q"], change: Vector
+        self, weights: Moduli, change: Vector
     ) -> Vector:  # pragma: no cover
         """Return the sum of d^2 youngs / d x^2 times weights, times a change of x.
 
@@ -98,17 +98,14 @@ class ElementField(ModulusField):
 
     @property
     def limits(self) -> tuple[Vector, Vector]:  # type: ignore[override]
-        """Bounds of Young's modulus, as coefficients."""
         low, high = self.parameterization.limits
         return np.full(self.size, low), np.full(self.size, high)
 
     @property
     def max_step(self) -> Vector:  # type: ignore[override]
-        """Largest change of each coefficient in one damped Newton step."""
         return np.full(self.size, self.parameterization.max_step)
 
     def at(self, x: Vector) -> FieldPoint:
-        """Return the field with these coefficients; moduli are within the bounds."""
         return _ElementPoint(self, x)
 
 
@@ -128,32 +125,28 @@ class _ElementPoint(FieldPoint):
         return self.field.parameterization.slope(self.x)
 
     @cached_property
-    def youngs(self) -> Float[np.ndarray, " elements"]:  # type: ignore[override]
-        """Young's modulus of each element, MPa."""
+    def youngs(self) -> Moduli:  # type: ignore[override]
         groups = self.field.groups
         return self._moduli if groups is None else self._moduli[groups]
 
     @cached_property
     def penalty(self) -> float:  # type: ignore[override]
-        """The prior without its weight."""
         return self.field.prior.value(np.log(self._moduli))
 
     @cached_property
     def penalty_gradient(self) -> Vector:  # type: ignore[override]
-        """Its gradient with respect to x."""
         return self._slope / self._moduli * self.field.prior.gradient(np.log(self._moduli))
 
     @cached_property
     def penalty_curvature(self) -> sp.csr_matrix:
-        """Its curvature with respect to x."""
         chain = sp.diags(self._slope / self._moduli)
         return (chain @ self.field.prior.curvature(np.log(self._moduli)) @ chain).tocsr()
 
-    def youngs_change(self, change: Vector) -> Float[np.ndarray, " elements"]:
+    def youngs_change(self, change: Vector) -> Moduli:
         values, groups = self._slope * change, self.field.groups
         return values if groups is None else values[groups]
 
-    def transpose_times(self, weights: Float[np.ndarray, " elements"]) -> Vector:
+    def transpose_times(self, weights: Moduli) -> Vector:
         groups = self.field.groups
         if groups is not None:
             weights = np.bincount(groups, weights, minlength=self.field.size)
@@ -166,7 +159,5 @@ class _ElementPoint(FieldPoint):
         changes = (self.youngs_change(unit) for unit in np.eye(self.field.size))
         return np.column_stack([evaluation.jacobian_times(change) for change in changes])
 
-    def second_derivative_times(
-        self, weights: Float[np.ndarray, " elements"], change: Vector
-    ) -> Vector:
+    def second_derivative_times(self, weights: Moduli, change: Vector) -> Vector:
         return self.field.parameterization.second_derivative(self.x) * weights * change

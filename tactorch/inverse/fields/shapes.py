@@ -16,8 +16,7 @@ from tactorch.inverse.fields import strength
 from tactorch.inverse.fields.background import Background
 from tactorch.inverse.fields.base import Vector
 from tactorch.inverse.fields.family import FAMILIES, Family
-from tactorch.inverse.fields.inclusion import InclusionShape, Parameters
-from tactorch.inverse.fields.prior import ShapePrior
+from tactorch.inverse.fields.inclusion import InclusionShape, Parameters, ShapePrior
 from tactorch.inverse.fields.sites import Sites
 
 _UNIFORM = Background()
@@ -197,10 +196,7 @@ class ShapeField:
         return self.background.derivative(self.prior, sites.centers)
 
     def log_youngs(
-        self,
-        z: Vector,
-        sites: Sites,
-        fractions: Sequence[Float[np.ndarray, " elements"]] = (),
+        self, z: Vector, sites: Sites, fractions: Sequence[Float[np.ndarray, " elements"]] = ()
     ) -> np.ndarray:
         """Return the log-modulus of each volume, log MPa.
 

@@ -144,8 +144,7 @@ class Monitor:
         """Take `point` as the best so far; raise `StopOptimization` at a limit or condition."""
         self.keep(point, **record)
         self.check_time()
-        reason = None if self.stop_condition is None else self.stop_condition(self.history)
-        if reason is not None:
+        if self.stop_condition is not None and (reason := self.stop_condition(self.history)):
             raise StopOptimization(reason)
 
     def keep(self, point: Point, **record: float) -> None:

@@ -86,6 +86,8 @@ class Point:
     @cached_property
     def _nuisance_jacobian(self) -> Float[np.ndarray, "data k"]:
         nuisance = self.objective.nuisance
+        if not nuisance.size:
+            return np.zeros((len(self.evaluation.residuals), 0))
         return self.evaluation.nuisance_jacobian(nuisance.names) * nuisance.slopes()
 
     @cached_property
@@ -98,8 +100,6 @@ class Point:
     def data_gradient(self) -> Float[np.ndarray, " size"]:
         """Gradient of half the sum of squared residuals with respect to x, by adjoints."""
         inner = self.field.transpose_times(self._youngs_gradient)
-        if not len(self.z):
-            return inner
         return np.concatenate([inner, self._nuisance_jacobian.T @ self.evaluation.residuals])
 
     @cached_property
@@ -110,13 +110,11 @@ class Point:
         """Return the change of the residuals by a change of x, by one solve per press."""
         m = self.objective.field.size
         inner = self.evaluation.jacobian_times(self.field.youngs_change(change[:m]))
-        return inner + self._nuisance_jacobian @ change[m:] if len(self.z) else inner
+        return inner + self._nuisance_jacobian @ change[m:]
 
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " size"]:
         """Return the Jacobian's transpose times `weights`, by one solve per press."""
         inner = self.field.transpose_times(self.evaluation.transpose_times(weights))
-        if not len(self.z):
-            return inner
         return np.concatenate([inner, self._nuisance_jacobian.T @ weights])
 
     def second_order_times(self, change: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:

@@ -83,7 +83,6 @@ def settings_from(config: Mapping[str, Any]) -> Settings:
     if not has_all_settings(config):
         raise ConfigError("the mean of the prior is a map that the result does not store")
     try:
-        settings: Settings = Settings.from_mapping(config["settings"])
-        return settings
+        return Settings.from_mapping(config["settings"])
     except (KeyError, TypeError, ConfigError) as error:
         raise ConfigError(f"the settings of the result cannot be read ({error})") from error

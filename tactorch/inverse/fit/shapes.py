@@ -55,22 +55,18 @@ class ShapesOnSites(ModulusField):
 
     @property
     def size(self) -> int:  # type: ignore[override]
-        """Number of coefficients."""
         return self.shapes.size
 
     @property
     def limits(self) -> tuple[Vector, Vector]:  # type: ignore[override]
-        """Bounds of the coefficients, in standard deviations of the prior."""
         high = np.full(self.size, _MAX_Z)
         return -high, high
 
     @property
     def max_step(self) -> Vector:  # type: ignore[override]
-        """Largest change of each coefficient in one damped Newton step."""
         return np.full(self.size, _MAX_STEP)
 
     def at(self, x: Vector) -> "_ShapesPoint":
-        """Return the field with these coefficients."""
         return _ShapesPoint(self, x)
 
 

@@ -1,9 +1,8 @@
-"""Starts of an inversion: uniform, of few moduli, of random draws, or a given map.
+"""Starts of an inversion: uniform, of few moduli, of regions, of random draws, or a given map.
 
 A start is a function of the inverse problem and the bounds, as is a learned one.
 """
 
-import logging
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse.data.nuisance import Nuisance, NuisancePrior
 from tactorch.inverse.fields import ElementField
 from tactorch.inverse.fields.parameterization import Bounds, Log
-from tactorch.inverse.fields.regularization.base import Quadratic
+from tactorch.inverse.fields.regularization.base import Field, Quadratic, region_values
 from tactorch.inverse.fit.monitor import Monitor, StopCondition, StopOptimization, StopReason
 from tactorch.inverse.fit.objective import Objective
 from tactorch.inverse.fit.optimizers.gauss_newton import GaussNewton
@@ -29,7 +28,6 @@ from tactorch.linalg import map_cases
 from tactorch.mesh import TetMesh
 from tactorch.mesh.geometry import farthest_point_order
 
-_log = logging.getLogger(__name__)
 START_MPA = 0.2
 _BOUND_RTOL = 1e-9  # relative excess over a bound that counts as rounding
 _STEP_TOLERANCE = 1e-3  # change of the log-modulus, or of z
@@ -47,7 +45,7 @@ INITIALIZATIONS = Registry(
     {
         "uniform": "tactorch.inverse.fit.starts:Uniform",
         "coarse": "tactorch.inverse.fit.starts:CoarseStart",
-        "regions": "tactorch.inverse.fit.region_start:RegionStart",
+        "regions": "tactorch.inverse.fit.starts:RegionStart",
         "surrogate": "tactorch.learning.surrogate:SurrogateStart",
     },
 )
@@ -62,7 +60,7 @@ class Uniform(Options):
         START_MPA, "Modulus of the start; homogeneous: the one that fits best", unit="MPa", gt=0
     )
 
-    def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
+    def __call__(self, problem: InverseProblem, bounds: Bounds) -> Field:
         """Return the map, MPa."""
         if isinstance(self.start_mpa, str):
             return homogeneous(problem, bounds)
@@ -178,15 +176,44 @@ class CoarseStart(Options):
     groups: int = option(64, "Number of clusters of elements", gt=0)
     steps: int = option(6, "Limit of Gauss-Newton steps", gt=0)
 
-    def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
+    def __call__(self, problem: InverseProblem, bounds: Bounds) -> Field:
         """Return the map, MPa."""
         labels = clusters(problem.recording.mesh, self.groups)
         return fit_groups(problem, bounds, labels, steps=self.steps)
 
 
+@dataclass(frozen=True)
+class RegionStart(Options):
+    """One modulus for each region of the mesh: given, or those that fit best."""
+
+    section: ClassVar[str] = "initialization"
+    region_mpa: dict[int, float] | None = option(
+        None, "Modulus of each region by number; null: those that fit best", unit="MPa", gt=0
+    )
+    steps: int = option(10, "Limit of Gauss-Newton steps of the fit", gt=0)
+
+    def __call__(self, problem: InverseProblem, bounds: Bounds) -> Field:
+        """Return the map, MPa.
+
+        Raises:
+            ConfigError: The mesh has no regions, or a region has no modulus.
+            ConvergenceError: The presses have an equilibrium with no uniform modulus.
+        """
+        mesh = problem.recording.mesh
+        if self.region_mpa:
+            return region_values(self.region_mpa, mesh, "initialization.region_mpa")
+        if mesh.regions is None:
+            raise ConfigError(
+                "initialization=regions: the mesh of the recording has no regions; make it with "
+                "tactorch body, or choose another initialization."
+            )
+        labels = np.unique(mesh.regions, return_inverse=True)[1].astype(np.int64)
+        return fit_groups(problem, bounds, labels, steps=self.steps)
+
+
 def fit_groups(
     problem: InverseProblem, bounds: Bounds, labels: Int[np.ndarray, " m"], *, steps: int
-) -> Float[np.ndarray, " m"]:
+) -> Field:
     """Return the map of one modulus for each group of elements that fits best, MPa.
 
     Groups that share faces are expected to have similar moduli; this decides where the presses
@@ -228,7 +255,7 @@ def best_uniform(
     return uniform_fit(problem, bounds, first_mpa=first_mpa).youngs_mpa
 
 
-def homogeneous(problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
+def homogeneous(problem: InverseProblem, bounds: Bounds) -> Field:
     """Return the best uniform map, MPa, fitted together with the nuisance parameters."""
     fit = uniform_fit(problem, bounds, problem.nuisance)
     return np.full(problem.n_elements, fit.youngs_mpa)
@@ -273,40 +300,13 @@ def monte_carlo(
     return start
 
 
-def fits_better_than_uniform(
-    guess: Float[np.ndarray, " m"], problem: InverseProblem, bounds: Bounds, name: str
-) -> bool:
-    """Return whether a guessed map (MPa) fits the presses better than the best uniform one.
-
-    Both are compared at the nuisance values that the recording states, from which inversions start.
-    `name` is that of the map in the log.
-    """
-    try:
-        chi2 = problem.evaluate(guess).chi2
-    except ConvergenceError as error:
-        _log.warning("The %s map is refused: the presses collapse it (%s).", name, error)
-        return False
-    fit = uniform_fit(problem, bounds, first_mpa=float(np.median(guess)))
-    known = problem.evaluate(np.full(problem.n_elements, fit.youngs_mpa)).chi2
-    if not chi2 < known:
-        _log.warning(
-            "The %s map is refused: its misfit (chi2 %.4g) is no less than that of the best "
-            "uniform map (%.4g).", name, chi2, known,
-        )  # fmt: skip
-        return False
-    _log.info("The %s map is taken: chi2 %.4g, best uniform map %.4g", name, chi2, known)
-    return True
-
-
-def start_map(start: Start, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
+def start_map(start: Start, problem: InverseProblem, bounds: Bounds) -> Field:
     """Return the map of a start, MPa; refuse a wrong shape and moduli outside the bounds."""
     values = start(problem, bounds) if callable(start) else start
     return checked_start(values, problem.n_elements, bounds)
 
 
-def checked_start(
-    youngs_mpa: float | Float[np.ndarray, " _"], m: int, bounds: Bounds
-) -> Float[np.ndarray, " m"]:
+def checked_start(youngs_mpa: float | Float[np.ndarray, " _"], m: int, bounds: Bounds) -> Field:
     """Return the modulus of each of m elements; refuse a wrong shape and values out of bounds."""
     values = np.asarray(youngs_mpa, dtype=np.float64)
     if values.ndim and values.shape != (m,):

@@ -113,11 +113,9 @@ class PalpationEvaluation(Evaluation):
         return sp.diags(self.data.scale) @ self._chain
 
     def jacobian(self) -> Float[np.ndarray, "data moduli"]:
-        """Return d residuals / d youngs, 1/MPa."""
         return self._of_residuals(self._body.combined_rates(self._scaled_chain))
 
     def jacobian_times(self, change: Moduli) -> Float[np.ndarray, " data"]:
-        """Return the change of the residuals by a change of the moduli (MPa)."""
         moved = self._body.rates @ change.ravel().astype(np.float32)
         return self._of_residuals(self._scaled_chain @ moved.astype(np.float64))
 
@@ -126,12 +124,10 @@ class PalpationEvaluation(Evaluation):
         return self._chain @ self._body.compliance_changes(changes.reshape(len(changes), -1)), []
 
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Moduli:
-        """Return the transpose of d residuals / d youngs times `weights`."""
         rows = (self._scaled_chain.T @ self._of_data(weights)).astype(np.float32)
         return (self._body.rates.T @ rows).astype(np.float64).reshape(self.youngs.shape)
 
     def second_order_times(self, change: Moduli) -> Moduli:
-        """Not known."""
         raise ConfigError("The exact Hessian is not known for presses by a probe.")
 
 
@@ -152,8 +148,7 @@ class PalpationProblem(InverseProblem):
     def __init__(
         self, recording: Recording, *, element: str = PALPATION_ELEMENT, **options: Any
     ) -> None:
-        options = {**options, "element": element}
-        super().__init__(recording, **options)
+        super().__init__(recording, element=element, **options)
         if self.nuisance.size:
             raise ConfigError(
                 f"{', '.join(self.nuisance.names)}: nuisance parameters are not estimated with a "

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -65,14 +65,6 @@ class _PressSolution:
         return self.model.reported(self.equilibrium.displacement)
 
 
-class _LinearResponse(NamedTuple):
-    """Changes of the data (mm or N) and displacements (mm) of each press by changes of moduli."""
-
-    changes: Changes
-    columns: Columns
-    fields: list[NodalFields]
-
-
 class Evaluation:
     """All presses at one map of moduli; derivatives are computed on demand.
 
@@ -96,7 +88,8 @@ class Evaluation:
         self.derivative_rtol = derivative_rtol
         self.youngs, self.nuisance = youngs, nuisance
         self._weight, self._presses = weight, presses
-        self._response: _LinearResponse | None = None  # the last one
+        # The last changes of moduli, with those of the data (mm or N) and displacements (mm).
+        self._response: tuple[Changes, Columns, list[NodalFields]] | None = None
         self._compare(data)
 
     def _compare(self, data: DataModel) -> None:
@@ -230,10 +223,10 @@ class Evaluation:
 
         The last response is kept, also by `with_data`, for the same changes.
         """
-        if self._response is None or not np.array_equal(self._response.changes, changes):
-            self._response = _LinearResponse(changes.copy(), *self._respond(changes))
-        columns = self._response.columns * self.data.scale[:, None]
-        return self._of_residuals(columns), self._response.fields
+        if self._response is None or not np.array_equal(self._response[0], changes):
+            self._response = changes.copy(), *self._respond(changes)
+        _, columns, fields = self._response
+        return self._of_residuals(columns * self.data.scale[:, None]), fields
 
     def _respond(self, changes: Changes) -> tuple[Columns, list[NodalFields]]:
         """Return the changes of the data (mm or N), and of the displacements of each press (mm)."""
@@ -421,18 +414,16 @@ class InverseProblem:
             self._weight = gravity.numpy()
         self._readings = [PressReadings.of(press, self.body.discretisation) for press in presses]
         self.evaluations = 0
-        self._leases = self._share() if derivative_rtol else None
+        self._leases: list[SharedLease] | None = None
+        if derivative_rtol:  # presses of the same supports share factorisations
+            supports = [press.fixed.tobytes() + press.springs.tobytes() for press in presses]
+            self._leases = [self.body.shared_lease(key) for key in supports]
 
     @cached_property
     def _order(self) -> Int[np.ndarray, " presses"]:
         """Order of the presses, in which those that share factorisations are apart."""
         keys: list[Any] = list(self._leases or range(len(self.recording.presses)))
         return np.argsort([keys[:i].count(key) for i, key in enumerate(keys)], kind="stable")
-
-    def _share(self) -> list[SharedLease]:
-        """Return the factorisations that each press shares with those of the same supports."""
-        presses = self.recording.presses
-        return [self.body.shared_lease(p.fixed.tobytes() + p.springs.tobytes()) for p in presses]
 
     def _check_nuisance(self) -> None:
         """Refuse nuisance parameters that probes and other readings do not have."""
@@ -510,7 +501,6 @@ class InverseProblem:
             starts = near.predict(youngs)
 
         contacts = self._contacts
-
         made: dict[int, tuple[PressModel, Newton]] = {}
 
         def make(i: int, after: Newton | None = None) -> tuple[PressModel, Newton]:
@@ -567,17 +557,12 @@ class InverseProblem:
             parts = max(worker_count(), len(numbers) // _AT_ONCE)
             chunks += [numbers[k::parts] for k in range(parts) if numbers[k::parts]]
 
-        def work(k: int) -> list[NodalField]:
+        def work(k: int) -> list[tuple[int, NodalField]]:
             chunk = chunks[k]
             pairs = [searches[i] for i in chunk], [starts[i] for i in chunk]
-            return approach(*pairs, leases[chunk[0]])
+            return list(zip(chunk, approach(*pairs, leases[chunk[0]]), strict=True))
 
-        found = map_cases(work, len(chunks))
-        return {
-            i: u
-            for chunk, fields in zip(chunks, found, strict=True)
-            for i, u in zip(chunk, fields, strict=True)
-        }
+        return dict(pair for part in map_cases(work, len(chunks)) for pair in part)
 
 
 def make_body(

@@ -70,12 +70,9 @@ class ReducedProblem(InverseProblem):
     def predicted(self, youngs: Moduli) -> list[Float[np.ndarray, " _"]]:
         """Return the predicted data of each press, in their units."""
         changes = np.log(_means(youngs)) - self._log_youngs
-        moved = np.split((self.rates @ changes.astype(np.float32)).astype(np.float64), self._ends)
-        return [a + b for a, b in zip(self._at_reference, moved, strict=True)]
-
-    @property
-    def _ends(self) -> Sequence[int]:
-        return np.cumsum(self.data.counts)[:-1].tolist()
+        moved = (self.rates @ changes.astype(np.float32)).astype(np.float64)
+        parts = np.split(moved, self.data.begins[1:])
+        return [a + b for a, b in zip(self._at_reference, parts, strict=True)]
 
 
 class ReducedEvaluation(Evaluation):
@@ -100,11 +97,9 @@ class ReducedEvaluation(Evaluation):
         """Do nothing: a linear model has no instability."""
 
     def jacobian(self) -> Float[np.ndarray, "data m"]:
-        """Return d residuals / d youngs, 1/MPa."""
         return self._of_residuals(self._problem.rates / self._means * self.data.scale[:, None])
 
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Moduli:
-        """Return the transpose of d residuals / d youngs times `weights`."""
         rows = self._problem.rates.T @ (self._of_data(weights) * self.data.scale)
         moduli = self.youngs.size // len(self._means)  # of an element, which share its change
         return np.repeat(rows / self._means / moduli, moduli).reshape(self.youngs.shape)
@@ -116,7 +111,6 @@ class ReducedEvaluation(Evaluation):
         return (self._problem.rates @ logs.T.astype(np.float32)).astype(np.float64), []
 
     def jacobian_times(self, change: Moduli) -> Float[np.ndarray, " data"]:
-        """Return the change of the residuals by a change of the moduli (MPa)."""
         return self.linear_response(change.reshape(1, -1))[0][:, 0]
 
 

@@ -4,12 +4,6 @@
 meshes) and `variational_posterior` (total variation, with estimated scales).
 """
 
-from tactorch.inverse.posterior.coverage import (
-    Coverage,
-    calibration_curve,
-    calibration_error,
-    coverage,
-)
 from tactorch.inverse.posterior.gaussian import GaussianPosterior
 from tactorch.inverse.posterior.gaussian_state import GaussianState
 from tactorch.inverse.posterior.laplace import LaplacePosterior
@@ -17,6 +11,7 @@ from tactorch.inverse.posterior.low_rank import LowRankPosterior
 from tactorch.inverse.posterior.select import posterior_at
 from tactorch.inverse.posterior.sensitivity import credibility, layer_profile, sensitivity_matrix
 from tactorch.inverse.posterior.variational import VariationalPosterior, variational_posterior
+from tactorch.metrics.coverage import Coverage, calibration_curve, calibration_error, coverage
 
 __all__ = [
     "Coverage",

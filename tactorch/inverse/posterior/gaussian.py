@@ -4,10 +4,9 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import ndtri
 
-from tactorch.errors import ConfigError
 from tactorch.inverse.fields.parameterization import Parameterization
+from tactorch.metrics.coverage import normal_quantile
 
 Field = Float[np.ndarray, " m"]  # a value per element
 
@@ -53,10 +52,3 @@ class GaussianPosterior(ABC):
         limits = self.parameterization.limits
         low, high = (np.clip(self.mean + sign * half_width, *limits) for sign in (-1, 1))
         return self.parameterization.youngs(low), self.parameterization.youngs(high)
-
-
-def normal_quantile(level: float) -> float:
-    """Return half the width of the central normal interval of a level, in standard deviations."""
-    if not 0 < level < 1:
-        raise ConfigError(f"level={level} must lie between 0 and 1, such as 0.95.")
-    return float(ndtri(0.5 + 0.5 * level))

@@ -31,36 +31,27 @@ def of_inclusions(
     recording: Recording, shapes: ShapeReconstruction, config: dict[str, Any], seconds: float
 ) -> Reconstruction:
     """Return the result of a search of this duration (s); the configuration is of `config_of`."""
-    predictions = shapes.predictions
-    moved = np.zeros((0, recording.mesh.n_points, 3))
-    history = [{"iteration": k, **r} for k, r in enumerate(shapes.history, start=1)]
+    unknown = np.zeros((0, recording.mesh.n_points, 3)), None, None
+    displacements, predicted, residuals = shapes.predictions or unknown
     reasons = _reasons_of(shapes)
+    found = [] if reasons else [i for i in shapes.inclusions if i.probability >= _MIN_PROBABILITY]
     return Reconstruction(
         mesh=recording.mesh,
         youngs=shapes.element_means(recording.mesh),
-        displacements=moved if predictions is None else predictions.displacements,
-        history=history,
+        displacements=displacements,
+        history=[{"iteration": k, **r} for k, r in enumerate(shapes.history, start=1)],
         stop_reason=str(shapes.ended or _COMPLETE),
         seconds=seconds,
         config=config,
-        predicted=None if predictions is None else predictions.data,
-        residuals=None if predictions is None else predictions.residuals,
-        lumps=() if reasons else _lumps_of(recording, shapes),
+        predicted=predicted,
+        residuals=residuals,
+        lumps=tuple(_lump(recording, inclusion) for inclusion in found),
         background_mpa=shapes.background_mpa,
         probability=shapes.probability,
         reasons=reasons,
         warnings=_warnings_of(shapes),
         shapes=shapes,
     )
-
-
-def _lumps_of(recording: Recording, result: ShapeReconstruction) -> tuple[Lump, ...]:
-    """Return the inclusions whose probability is 90 % or more as lumps, with depths and intervals.
-
-    The truth that the recording may carry is not read.
-    """
-    found = (i for i in result.inclusions if i.probability >= _MIN_PROBABILITY)
-    return tuple(_lump(recording, inclusion) for inclusion in found)
 
 
 def _reasons_of(result: ShapeReconstruction) -> tuple[str, ...]:
@@ -86,6 +77,7 @@ def _warnings_of(result: ShapeReconstruction) -> tuple[str, ...]:
 
 
 def _lump(recording: Recording, found: ShapeInclusion) -> Lump:
+    """Return an inclusion as a lump; the truth that the recording may carry is not read."""
     mesh, shape = recording.mesh, found.shape
     center = np.array(shape.center_mm)
     inside = shape.contains(mesh.centroids)

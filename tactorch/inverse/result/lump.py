@@ -112,11 +112,7 @@ class Elongation:
 
     def plain(self) -> dict[str, object]:
         """Return plain values: mm, and the direction."""
-        return {
-            "length_mm": self.length_mm,
-            "widths_mm": list(self.widths_mm),
-            "direction": self.direction.tolist(),
-        }
+        return to_plain(self)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -147,7 +143,7 @@ class Lump(Summarized):
 
     def stored(self) -> dict[str, Any]:
         """Return all as plain JSON values; the inverse of `of_stored`."""
-        plain: dict[str, Any] = to_plain(self)
+        plain = to_plain(self)
         plain["inclusion"]["elements"] = np.flatnonzero(self.inclusion.elements).tolist()
         return plain
 
@@ -169,8 +165,8 @@ class Lump(Summarized):
     def plain(self) -> dict[str, Any]:
         """Return plain values for users: mm, MPa, mm^3."""
         inclusion, depth, confidence = self.inclusion, self.depth, self.confidence
-        values = inclusion.plain()
-        values |= {"contrast": float(inclusion.contrast), "size_mm": self.size_mm.tolist()}
+        sizes = {"contrast": float(inclusion.contrast), "size_mm": self.size_mm.tolist()}
+        values = inclusion.plain() | sizes
         if depth is not None:
             values |= {
                 "depth_mm": depth.center_mm,

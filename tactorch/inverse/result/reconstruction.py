@@ -22,11 +22,12 @@ from tactorch.hdf5 import (
 )
 from tactorch.inverse.data.nuisance import NuisanceEstimate
 from tactorch.inverse.data.plain import to_plain, with_arrays
-from tactorch.inverse.posterior.gaussian import GaussianPosterior, normal_quantile
+from tactorch.inverse.posterior.gaussian import GaussianPosterior
 from tactorch.inverse.result.lump import Lump
 from tactorch.inverse.result.regions import build_lump, find_lumps
 from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.mesh import TetMesh, locate, write_mesh
+from tactorch.metrics.coverage import normal_quantile
 
 if TYPE_CHECKING:
     import h5py
@@ -233,8 +234,7 @@ class Reconstruction(Displayed):
 
     def summary(self) -> str:
         """Return a description of the result in a few lines of text."""
-        text: str = VIEWS["summarize"](self)
-        return text
+        return VIEWS["summarize"](self)
 
     def report(
         self, path: str | Path, recording: "Recording | None" = None, **options: Any
@@ -246,8 +246,7 @@ class Reconstruction(Displayed):
             recording: Presses of the inversion. Without them the report has only the field.
             options: Options of `tactorch.report.write_report`.
         """
-        written: Path = VIEWS["report_of"](self, path, recording, **options)
-        return written
+        return VIEWS["report_of"](self, path, recording, **options)
 
     def save(self, path: str | Path) -> Path:
         """Write to HDF5 atomically."""
@@ -304,8 +303,8 @@ class Reconstruction(Displayed):
         is `trusted`, `youngs_element_map_mpa` where an element map was computed beside inclusions,
         and `youngs_true_mpa`.
         """
-        cells = {"youngs_mpa": self.youngs, "trusted": np.full(len(self.youngs), not self.reasons)}
-        cells["trusted"] = cells["trusted"].astype(float)
+        trusted = np.full(len(self.youngs), float(not self.reasons))
+        cells = {"youngs_mpa": self.youngs, "trusted": trusted}
         if (ends := self.intervals()) is not None:
             cells["youngs_90_low_mpa"], cells["youngs_90_high_mpa"] = ends
         if self.shapes is not None and self.other is not None:

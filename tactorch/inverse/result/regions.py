@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
 from scipy.special import ndtr, ndtri
 
 from tactorch.errors import ConfigError
@@ -12,6 +11,8 @@ from tactorch.inverse.result.lump import TAIL, Confidence, Lump, measure_depth
 from tactorch.mesh import TetMesh
 from tactorch.metrics import Inclusion
 from tactorch.metrics.segment import (
+    Field,
+    Mask,
     Side,
     check_field,
     connected_parts,
@@ -21,8 +22,6 @@ from tactorch.metrics.segment import (
 )
 from tactorch.recording import Press
 
-Field = Float[np.ndarray, " m"]
-Mask = Bool[np.ndarray, " m"]
 _MIN_RELATIVE_CONTRAST = 0.2  # log-contrast over that of the most conspicuous lump
 
 

@@ -142,11 +142,9 @@ class ShapeReconstruction(Displayed):
     def summary(self) -> str:
         """Return a description of the result in a few lines of text."""
         count = len(self.field.parts)
-        lines = [
-            f"{count} inclusion{'' if count == 1 else 's'} in {self.background_mpa:.3g} MPa, "
-            f"chi2 {self.chi2:.3g}"
-        ]
-        return "\n".join([*lines, *(found.summary() for found in self.inclusions)])
+        inclusions = f"{count} inclusion{'' if count == 1 else 's'}"
+        first = f"{inclusions} in {self.background_mpa:.3g} MPa, chi2 {self.chi2:.3g}"
+        return "\n".join([first, *(found.summary() for found in self.inclusions)])
 
     @property
     def force_deviation(self) -> float:
@@ -222,10 +220,8 @@ class ShapeReconstruction(Displayed):
     @cached_property
     def inclusions(self) -> list[ShapeInclusion]:
         """The inclusions with their intervals, those of the largest log-odds first."""
-        inclusions = [
-            self._inclusion(k, shape) for k, shape in enumerate(self.field.shapes(self.estimate))
-        ]
-        return [inclusions[k] for k in self.order]
+        shapes = list(self.field.shapes(self.estimate))
+        return [self._inclusion(k, shapes[k]) for k in self.order]
 
     @property
     def order(self) -> tuple[int, ...]:
@@ -272,5 +268,4 @@ def _sites(mesh: TetMesh) -> Sites:
 
 
 def _interval(values: Float[np.ndarray, " draws"]) -> Interval:
-    low, high = np.quantile(values, [0.05, 0.95])
-    return Interval(float(low), float(high))
+    return Interval(*np.quantile(values, [0.05, 0.95]).tolist())

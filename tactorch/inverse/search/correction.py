@@ -27,7 +27,7 @@ from tactorch.inverse.errors.kept import KeptRims, RimError, press_key
 from tactorch.inverse.fields import InclusionShape, Sites
 from tactorch.inverse.fit.shapes import ShapeFit
 from tactorch.inverse.forward.footprint import loaded_nodes
-from tactorch.inverse.forward.problem import Evaluation, InverseProblem, make_body
+from tactorch.inverse.forward.problem import Evaluation, InverseProblem, Moduli, make_body
 from tactorch.inverse.search.sizing import (
     Rim,
     inclusion_sizing,
@@ -58,34 +58,25 @@ _SAME_MODULI = 0.1
 _NEWTON = NewtonOptions(rtol=5e-3)
 _AT_EDGE_MM = 1e-6  # distance of nodes from an edge that they are on
 
+_Data = Float[np.ndarray, " _"]  # of a press, mm
+
 
 class _FinerMesh(NamedTuple):
-    """A mesh that is fine at the inclusions.
+    """A mesh that is fine at the inclusions."""
 
-    Attributes:
-        contacts: Contacts whose presses are solved on it.
-        sizing: Longest edges.
-        has_rims: Whether it is also fine at the rims of these contacts.
-    """
-
-    contacts: list[int]
+    contacts: list[int]  # whose presses are solved on it
     sizing: Sizing
-    has_rims: bool
+    has_rims: bool  # whether it is also fine at the rims of these contacts
 
 
 class _LoadSeries(NamedTuple):
-    """Presses of one contact, which differ by a factor.
+    """Presses of one contact, which differ by a factor."""
 
-    Attributes:
-        factors: Displacement of each press over the largest.
-        ends: Presses of the smallest and largest displacement, or one press.
-    """
-
-    factors: dict[int, float]
-    ends: tuple[int, ...]
+    factors: dict[int, float]  # displacement of each press over the largest
+    ends: tuple[int, ...]  # presses of the smallest and largest displacement, or one press
 
     @staticmethod
-    def of(contact: Sequence[int], predicted: Sequence[Float[np.ndarray, " _"]]) -> "_LoadSeries":
+    def of(contact: Sequence[int], predicted: Sequence[_Data]) -> "_LoadSeries":
         """Return the presses of a contact, whose factors are projections of predictions."""
         last = predicted[max(contact, key=lambda i: float(predicted[i] @ predicted[i]))]
         factors = {i: float(predicted[i] @ last) / float(last @ last) for i in contact}
@@ -93,9 +84,7 @@ class _LoadSeries(NamedTuple):
         distinct = _MIN_FACTOR < factors[ends[0]] < _MAX_FACTOR
         return _LoadSeries(factors, ends if distinct else ends[1:])
 
-    def interpolate(
-        self, changes: Mapping[int, Float[np.ndarray, " _"]]
-    ) -> dict[int, Float[np.ndarray, " _"]]:
+    def interpolate(self, changes: Mapping[int, _Data]) -> dict[int, _Data]:
         """Return the changes of all presses from those at the ends, which vanish without a load."""
         *first, last = self.ends
         slope = changes[last]
@@ -195,16 +184,13 @@ class Correction:
             ConvergenceError: a press has no equilibrium on its finer mesh.
             ConfigError: a finer mesh has too many elements.
         """
-        model = _Model(fit, evaluation)
+        model = _Model(fit, evaluation, evaluation.predicted, check)
         every = [_LoadSeries.of(numbers, model.predicted) for numbers, _ in self.contacts]
         meshes, rims = self._plan(model.shapes)
-
-        jobs: list[Callable[[], dict[int, np.ndarray]]] = [
-            partial(self._rim_error, model, k, every[k], check) for k in rims
-        ]
+        jobs = [partial(self._rim_error, model, k, every[k]) for k in rims]
         for mesh in meshes:
             chosen = [every[k] for k in mesh.contacts]
-            jobs.append(partial(self._inclusion_error, model, mesh, chosen, check))
+            jobs.append(partial(self._inclusion_error, model, mesh, chosen))
         offsets = [np.zeros_like(values) for values in model.predicted]
         for changes in map_cases(lambda k: jobs[k](), len(jobs)):
             for series in every:
@@ -255,12 +241,8 @@ class Correction:
         return loaded_nodes(self.recording.presses[self.contacts[k][0][0]], self.recording.mesh)
 
     def _inclusion_error(
-        self,
-        model: "_Model",
-        finer: _FinerMesh,
-        every: Sequence[_LoadSeries],
-        check: Callable[[], None],
-    ) -> dict[int, Float[np.ndarray, " _"]]:
+        self, model: "_Model", finer: _FinerMesh, every: Sequence[_LoadSeries]
+    ) -> dict[int, _Data]:
         """Return the changes of the data by a mesh whose faces follow the inclusions, mm."""
         refinement = refine(self.recording.mesh, finer.sizing)
         if not len(refinement.ends):
@@ -272,25 +254,23 @@ class Correction:
         )
         fine = replace(fine, mesh=conforming.mesh)
         youngs = partial(model.youngs_beside, conforming.sides)
-        return self._changes(model, fine, youngs, every, check)
+        return self._changes(model, fine, youngs, every)
 
-    def _rim_error(
-        self, model: "_Model", k: int, series: _LoadSeries, check: Callable[[], None]
-    ) -> dict[int, Float[np.ndarray, " _"]]:
+    def _rim_error(self, model: "_Model", k: int, series: _LoadSeries) -> dict[int, _Data]:
         """Return the error at the rim of contact k, mm; a former one where the moduli remain."""
         presses, mesh = self.recording.presses, self.recording.mesh
         rim = self.contacts[k][1]
         assert rim is not None
         key = press_key(self.recording, [presses[i] for i in series.ends])
-        log_youngs = model.log_youngs_at(mesh.points[self._loaded(k)])
+        log_youngs = model.log_youngs(Sites.at(mesh.points[self._loaded(k)]))
         kept = self.kept.errors.get(key)
         if kept is None or np.abs(kept.log_youngs - log_youngs).max() > _SAME_MODULI:
-            check()
+            model.check()
             refinement = refine(mesh, rim.sizing(_AT_RIM, _GROWTH, _UNDER_CONTACT))
             changes = {i: np.zeros_like(model.predicted[i]) for i in series.ends}
             if len(refinement.ends):
                 fine = prolong_recording(self.recording, refinement, smooth_tractions=True)
-                changes = self._changes(model, fine, model.youngs, [series], check)
+                changes = self._changes(model, fine, model.youngs, [series])
             kept = RimError(log_youngs, tuple(changes[i] for i in series.ends))
             self.kept.errors[key] = kept
         return dict(zip(series.ends, kept.changes, strict=True))
@@ -299,18 +279,13 @@ class Correction:
         self,
         model: "_Model",
         fine: Recording,
-        youngs_of: Callable[[Sites], Float[np.ndarray, "m q"]],
+        youngs_of: Callable[[Sites], Moduli],
         every: Sequence[_LoadSeries],
-        check: Callable[[], None],
-    ) -> dict[int, Float[np.ndarray, " _"]]:
+    ) -> dict[int, _Data]:
         """Return the changes of the data of the presses at the ends of each series, mm.
 
-        Args:
-            model: The model.
-            fine: The presses on a finer mesh.
-            youngs_of: Moduli (MPa) at its quadrature points.
-            every: The series.
-            check: See `offsets`.
+        `fine` are the presses on a finer mesh, and `youngs_of` the moduli (MPa) at its quadrature
+        points.
         """
         body = make_body(fine, self.element, self.solver, _NEWTON)
         youngs = youngs_of(Sites.of(body.assembly))
@@ -323,7 +298,7 @@ class Correction:
             found: dict[int, np.ndarray] = {}
             change = np.zeros((body.n_nodes, 3))
             for i in series.ends:
-                check()
+                model.check()
                 one = replace(fine, presses=(fine.presses[i],))
                 problem = InverseProblem(
                     one, body=body, noise=self.noise, contact_mpa=self.contact_mpa,
@@ -349,20 +324,19 @@ class _Model:
 
     fit: ShapeFit
     evaluation: Evaluation
+    predicted: list[_Data]  # of each press
+    check: Callable[[], None]  # see `Correction.offsets`
 
     @cached_property
     def shapes(self) -> list[InclusionShape]:
         """The inclusions."""
         return list(self.fit.field.shapes(self.fit.z))
 
-    @property
-    def predicted(self) -> list[Float[np.ndarray, " _"]]:
-        """Predictions of each press."""
-        return self.evaluation.predicted
-
-    def log_youngs_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-        """Return the logarithm of the modulus (MPa) at points (mm)."""
-        return np.asarray(self.fit.field.log_youngs(self.fit.z, Sites.at(points)))
+    def log_youngs(
+        self, sites: Sites, fractions: Sequence[Float[np.ndarray, " m"]] = ()
+    ) -> Float[np.ndarray, " volumes"]:
+        """Return the logarithms of the moduli (MPa), see `ShapeField.log_youngs`."""
+        return self.fit.field.log_youngs(self.fit.z, sites, fractions)
 
     def conforming(self, refinement: Refinement) -> Conforming:
         """Return a mesh whose faces follow the inclusions."""
@@ -370,23 +344,18 @@ class _Model:
         pairs = zip(self.shapes, volumes, strict=True)
         return conform(refinement, [ClosedSurface(s.distance, volume) for s, volume in pairs])
 
-    def youngs(self, sites: Sites) -> Float[np.ndarray, "m q"]:
+    def youngs(self, sites: Sites) -> Moduli:
         """Return the moduli (MPa) at quadrature points of elements that boundaries may cross."""
-        return np.exp(self.fit.field.log_youngs(self.fit.z, sites)).reshape(sites.shape)
+        return np.exp(self.log_youngs(sites)).reshape(sites.shape)
 
-    def youngs_beside(
-        self, sides: Int[np.ndarray, "shapes m"], sites: Sites
-    ) -> Float[np.ndarray, "m q"]:
-        """Return the moduli (MPa) at quadrature points of elements on one side of each inclusion.
+    def youngs_beside(self, sides: Int[np.ndarray, "shapes m"], sites: Sites) -> Moduli:
+        """Return the moduli (MPa) at quadrature points of elements on these sides of inclusions.
 
-        Args:
-            sides: Side of each inclusion on which each element is, see `Conforming`.
-            sites: Quadrature points.
+        See `Conforming` for the sides.
         """
         fractions = []
         for shape, side in zip(self.shapes, sides, strict=True):
             fraction, crossed = (side < 0).astype(np.float64), np.flatnonzero(side == 0)
             fraction[crossed] = sites.fraction_inside(shape, crossed)
             fractions.append(fraction)
-        field, z = self.fit.field, self.fit.z
-        return np.exp(field.log_youngs(z, sites, fractions)).reshape(sites.shape)
+        return np.exp(self.log_youngs(sites, fractions)).reshape(sites.shape)

@@ -62,21 +62,15 @@ def force_errors(point: Point, weight: float) -> ForceErrors | None:
         return None
     patterns = _scale_patterns(point)
     # The optimizer may have ended before the optimum.
-    exact = _optimum(point, weight, 0.0 * patterns[:, :1])
+    exact, x = _optimum(point, weight, 0.0 * patterns[:, :1])
     others = [_optimum(point, weight, level * patterns) for level in Forces.levels]
-    best = int(np.argmin([other.value for other in others]))
-    logs = [np.log(point.objective.field.at(one.x).youngs) for one in (exact, others[best])]
+    best = int(np.argmin([value for value, _ in others]))
+    lowest, other = others[best]
+    logs = [np.log(point.objective.field.at(one).youngs) for one in (x, other)]
     volumes = point.objective.problem.recording.mesh.volumes
     covariance = np.cov(logs, aweights=volumes)
     shared = float(covariance[0, 1] ** 2 / max(covariance[0, 0] * covariance[1, 1], 1e-300))
-    return ForceErrors(Forces.levels[best], exact.value - others[best].value, shared)
-
-
-class _Optimum(NamedTuple):
-    """The linearised objective with the Occam factor of the errors, and its map."""
-
-    value: float
-    x: Float[np.ndarray, " size"]
+    return ForceErrors(Forces.levels[best], exact - lowest, shared)
 
 
 def _scale_patterns(point: Point) -> Float[np.ndarray, "data presses"]:
@@ -84,19 +78,23 @@ def _scale_patterns(point: Point) -> Float[np.ndarray, "data presses"]:
 
     Errors of single nodal forces are not among them: they could explain an inclusion.
     """
-    evaluation, columns = point.evaluation, []
-    for i, press in enumerate(point.objective.problem.recording.presses):
-        columns.append(evaluation.load_response(i, [press.forces]))
-    return np.asarray(block_diag(columns).toarray())
+    presses = enumerate(point.objective.problem.recording.presses)
+    columns = [point.evaluation.load_response(i, [press.forces]) for i, press in presses]
+    return block_diag(columns).toarray()
 
 
-def _optimum(point: Point, weight: float, patterns: Float[np.ndarray, "data k"]) -> _Optimum:
-    """Return the optimum of the linearised objective where the data have further errors."""
+def _optimum(
+    point: Point, weight: float, patterns: Float[np.ndarray, "data k"]
+) -> tuple[float, Float[np.ndarray, " size"]]:
+    """Return the least linearised objective where the data have further errors, and its map.
+
+    It includes the Occam factor of the errors.
+    """
     data, field = point.evaluation.data, point.objective.field
     wider = data.with_errors(patterns)
     evaluation = point.evaluation.with_data(wider)
     residuals, jacobian = evaluation.residuals, point.field.jacobian(evaluation)
-    normal, x, best = jacobian.T @ jacobian, point.x, _Optimum(np.inf, point.x)
+    normal, x, best = jacobian.T @ jacobian, point.x, (np.inf, point.x)
     occam = 0.5 * (wider.log_determinant - data.log_determinant)
     for _ in range(_STEPS):
         at, left = field.at(x), residuals + jacobian @ (x - point.x)
@@ -107,6 +105,6 @@ def _optimum(point: Point, weight: float, patterns: Float[np.ndarray, "data k"])
         x = np.clip(x - factor.solve(gradient), *point.objective.limits)
         left = residuals + jacobian @ (x - point.x)
         value = 0.5 * float(left @ left) + weight * field.at(x).penalty + occam
-        if value < best.value:
-            best = _Optimum(value, x)
+        if value < best[0]:
+            best = value, x
     return best

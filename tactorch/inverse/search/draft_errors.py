@@ -91,7 +91,7 @@ class _Known(ErrorSource):
         """Return the changes, which are independent for each press."""
         pairs = zip(presses.problem.data.observations, self.changes, strict=True)
         columns = [(change * observation.scale).T for observation, change in pairs]
-        return np.hstack([presses.joined({i: c}, c.shape[1]) for i, c in enumerate(columns)])
+        return presses.joined({i: column} for i, column in enumerate(columns))
 
 
 def with_errors(

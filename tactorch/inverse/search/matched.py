@@ -19,6 +19,7 @@ _CENTRES, _RADII = 400, (0.1, 0.2)  # number, and radii over the size of the bod
 _RODS, _ROD_RADIUS, _DIRECTIONS = (0.2, 0.4), 0.07, 6
 
 Chosen = Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]]
+_Vector = Float[np.ndarray, "3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +79,7 @@ def _places(kinds: Sequence[Balls]) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _grid(
-    mesh: TetMesh, axes: Float[np.ndarray, "3 3"], spacings: Float[np.ndarray, "3"]
+    mesh: TetMesh, axes: Float[np.ndarray, "3 3"], spacings: _Vector
 ) -> Float[np.ndarray, "n 3"]:
     """Return an even grid along orthonormal axes over the extent of a body."""
     along = mesh.points @ axes.T
@@ -88,9 +89,7 @@ def _grid(
     return np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3) @ axes
 
 
-def _inside(
-    mesh: TetMesh, grid: Float[np.ndarray, "n 3"], radius: float, half: Float[np.ndarray, "3"]
-) -> Balls:
+def _inside(mesh: TetMesh, grid: Float[np.ndarray, "n 3"], radius: float, half: _Vector) -> Balls:
     """Return the rods (balls if `half` is zero) at points that are for the most part in a body."""
     width = np.cbrt(mesh.volumes)[:, None]
     distance = _distance_to_rods(mesh.centroids, grid, half)
@@ -103,9 +102,7 @@ def _inside(
 
 
 def _distance_to_rods(
-    points: Float[np.ndarray, "m 3"],
-    centers: Float[np.ndarray, "n 3"],
-    half: Float[np.ndarray, "3"],
+    points: Float[np.ndarray, "m 3"], centers: Float[np.ndarray, "n 3"], half: _Vector
 ) -> Float[np.ndarray, "m n"]:
     """Return distances to the axes of rods, mm; to the centres of balls."""
     middle = centers.mean(axis=0) if len(centers) else np.zeros(3)
@@ -181,9 +178,7 @@ class MatchedFilter:
         return candidates
 
 
-def _differ(
-    other: Candidate, center: Float[np.ndarray, "3"], radius: float, half: Float[np.ndarray, "3"]
-) -> bool:
+def _differ(other: Candidate, center: _Vector, radius: float, half: _Vector) -> bool:
     """Whether a candidate is at another place, or of another kind (ball or rod)."""
     apart = float(np.linalg.norm(other.center_mm - center))
     if other.half_mm.any() != half.any():

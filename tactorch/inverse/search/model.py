@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from tactorch.inverse.data.observations import DataModel
 from tactorch.inverse.errors import Levels
-from tactorch.inverse.fields import FAMILIES, SIZE, Candidate, Family, ShapeField, Sites
+from tactorch.inverse.fields import FAMILIES, SIZE, Candidate, Family, ShapeField, Sites, Vector
 from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.shapes import Evidence, ShapeFit, ShapesOnSites
 from tactorch.inverse.forward.palpation import contacts_of
@@ -45,7 +45,7 @@ class Start:
 
     what: str
     field: ShapeField
-    z: Float[np.ndarray, " size"]
+    z: Vector
     errors: Levels
 
 
@@ -219,9 +219,7 @@ def make_posterior(model: Model, sites: Sites) -> ShapePosterior:
     return ShapePosterior(field, z, -covariance @ gradient, covariance)
 
 
-def with_ball(
-    fit: ShapeFit, candidate: Candidate
-) -> tuple[str, ShapeField, Float[np.ndarray, " size"]]:
+def with_ball(fit: ShapeFit, candidate: Candidate) -> tuple[str, ShapeField, Vector]:
     """Return the description, field and parameters of a model with a further ball or rod."""
     size = np.clip(abs(candidate.log_contrast), *_START_CONTRAST)
     candidate = candidate._replace(log_contrast=float(np.copysign(size, candidate.log_contrast)))
@@ -233,9 +231,7 @@ def with_ball(
     return f"{kind} at {np.round(candidate.center_mm, 1).tolist()} mm", field, z
 
 
-def varied(
-    field: ShapeField, z: Float[np.ndarray, " size"], **background: Any
-) -> tuple[ShapeField, np.ndarray]:
+def varied(field: ShapeField, z: Vector, **background: Any) -> tuple[ShapeField, np.ndarray]:
     """Return the model with more modes of the background, which start at zero."""
     return field.changed(z, background=replace(field.background, **background))
 
@@ -247,9 +243,7 @@ def less(model: Model, removed: Sequence[int]) -> Start:
     return Start(f"inclusion {numbers} removed", field, z, model.errors)
 
 
-def without(
-    field: ShapeField, z: Float[np.ndarray, " size"], removed: Sequence[int]
-) -> tuple[ShapeField, np.ndarray]:
+def without(field: ShapeField, z: Vector, removed: Sequence[int]) -> tuple[ShapeField, np.ndarray]:
     """Return the model without some of its inclusions."""
     kept, values = [k for k in range(len(field.parts)) if k not in removed], field.physical(z)
     fewer = replace(field, families=tuple(field.families[k] for k in kept))
@@ -258,7 +252,7 @@ def without(
 
 
 def with_family(
-    field: ShapeField, z: Float[np.ndarray, " size"], inclusion: int, family: Family
+    field: ShapeField, z: Vector, inclusion: int, family: Family
 ) -> tuple[ShapeField, np.ndarray]:
     """Return the model with an inclusion of another family, whose further parameters are zero."""
     families = list(field.families)
@@ -266,13 +260,13 @@ def with_family(
     return field.changed(z, families=tuple(families))
 
 
-def as_judged(field: ShapeField, z: Float[np.ndarray, " size"]) -> tuple[ShapeField, np.ndarray]:
+def as_judged(field: ShapeField, z: Vector) -> tuple[ShapeField, np.ndarray]:
     """Return the model with inclusions of the families by which their posterior is computed."""
     families = tuple(FAMILIES[family.judged_as] for family in field.families)
     return (field, z) if families == field.families else field.changed(z, families=families)
 
 
-def moderate(field: ShapeField, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+def moderate(field: ShapeField, z: Vector) -> Vector:
     """Return the model with the last ball of moderate contrast and of the same far field.
 
     A ball in a uniform strain acts from afar by its volume times (c - 1) / (c + 3/2), with c its

@@ -13,6 +13,7 @@ from tactorch.mesh import TetMesh
 from tactorch.mesh.quadrature import lattice
 from tactorch.mesh.refine import Sizing
 from tactorch.mesh.sharp_edges import distance_from_sharp_edges
+from tactorch.mesh.topology import triangle_edges
 from tactorch.recording import Press, Recording, refine_recording
 
 # Longest edge at the boundary of an inclusion over its radius, and its growth with the distance.
@@ -97,20 +98,19 @@ def contact_sizing(recording: Recording) -> Sizing:
     which is that of a disc of the area of the loaded surface triangles. Contacts that end at an
     edge of the body have no rim there.
     """
-    rims: dict[bytes, Rim | None] = {}
+    first: dict[bytes, Press] = {}  # of each contact
     for press in recording.presses:
         key = (press.forces != 0).any(axis=1).tobytes() + press.geometry_bytes()
-        if key not in rims:
-            rims[key] = Rim.of(press, recording.mesh)
+        first.setdefault(key, press)
+    rims = [rim for press in first.values() if (rim := Rim.of(press, recording.mesh))]
 
     def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         lengths = np.full(len(points), np.inf)
-        for rim in rims.values():
-            if rim is not None:
-                longest = _PER_CONTACT * rim.radius_mm
-                for tree in (rim.tree, rim.inside) if rim.of_probe else (rim.tree,):
-                    near = tree.query(points)[0] < longest
-                    lengths[near] = np.minimum(lengths[near], longest)
+        for rim in rims:
+            longest = _PER_CONTACT * rim.radius_mm
+            for tree in (rim.tree, rim.inside) if rim.of_probe else (rim.tree,):
+                near = tree.query(points)[0] < longest
+                lengths[near] = np.minimum(lengths[near], longest)
         return lengths
 
     return sizing
@@ -156,7 +156,6 @@ class Rim:
         """Return the rim of the contact at the loaded points; None where there is none."""
         surface = mesh.surface
         inside = loaded[surface.triangles].all(axis=1)
-        radius = float(np.sqrt(surface.areas[inside].sum() / np.pi))
         normals = np.zeros((mesh.n_points, 3))
         for corner in surface.triangles[inside].T:
             np.add.at(normals, corner, surface.normals[inside])
@@ -164,7 +163,7 @@ class Rim:
         corners = surface.triangles[~inside]
         smooth = np.einsum("tcd,td->tc", normals[corners], surface.normals[~inside]) > _MIN_COSINE
         rim = np.unique(corners[smooth & loaded[corners]])
-        return Rim._of(mesh, rim, inside, radius) if len(rim) else None
+        return Rim._of(mesh, rim, inside) if len(rim) else None
 
     @staticmethod
     def at_end(mesh: TetMesh, loaded: Bool[np.ndarray, " n"]) -> "Rim | None":
@@ -176,16 +175,13 @@ class Rim:
         inside = loaded[surface.triangles].all(axis=1)
         if not inside.any():
             return None
-        triangles = surface.triangles[inside]
-        sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        sides = triangle_edges(surface.triangles[inside])
         ends, counts = np.unique(sides, axis=0, return_counts=True)
-        radius = float(np.sqrt(surface.areas[inside].sum() / np.pi))
-        return Rim._of(mesh, np.unique(ends[counts == 1]), inside, radius)
+        return Rim._of(mesh, np.unique(ends[counts == 1]), inside)
 
     @staticmethod
-    def _of(
-        mesh: TetMesh, nodes: Int[np.ndarray, " k"], inside: Bool[np.ndarray, " t"], radius: float
-    ) -> "Rim":
+    def _of(mesh: TetMesh, nodes: Int[np.ndarray, " k"], inside: Bool[np.ndarray, " t"]) -> "Rim":
+        radius = float(np.sqrt(mesh.surface.areas[inside].sum() / np.pi))
         within = mesh.points[mesh.surface.triangles[inside]]
         places = lattice(_PER_TRIANGLE + 1, margin=0.0, corners=3)
         sampled = np.einsum("sc,tcd->tsd", places, within).reshape(-1, 3)

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 
 from tactorch.config import Options, option
-from tactorch.errors import ConfigError
+from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse import (
     BinaryWell,
     Bounds,
@@ -23,7 +23,7 @@ from tactorch.inverse import (
     homogeneous,
     make_objective,
 )
-from tactorch.inverse.fit.starts import fits_better_than_uniform
+from tactorch.inverse.fit.starts import uniform_fit
 from tactorch.learning.surrogate.features import compute_features
 from tactorch.learning.surrogate.network import INCLUDED_WEIGHTS, Surrogate, load_surrogate
 from tactorch.mesh import VoxelGrid
@@ -89,7 +89,7 @@ class SurrogateStart(Options):
     def __call__(self, problem: InverseProblem, bounds: Bounds) -> Float[np.ndarray, " m"]:
         """Return the predicted map, or the best uniform one if that fits better, MPa."""
         predicted = self.predict(problem.recording, noise=problem.noise, bounds=bounds).youngs
-        if fits_better_than_uniform(predicted, problem, bounds, "surrogate's"):
+        if fits_better_than_uniform(predicted, problem, bounds):
             return predicted
         return homogeneous(problem, bounds)
 
@@ -123,7 +123,7 @@ class SurrogateStart(Options):
             )
         problem = make_objective(recording, settings).problem
         predicted = self.predict(recording, noise=settings.noise, bounds=bounds).youngs
-        if not fits_better_than_uniform(predicted, problem, bounds, "surrogate's"):
+        if not fits_better_than_uniform(predicted, problem, bounds):
             return settings
         chi2 = problem.evaluate(predicted).chi2
         if chi2 > max_chi2:
@@ -152,3 +152,27 @@ def _predict(
     youngs = features.youngs_mpa * np.exp(grid.at_elements(mean))
     spread = np.exp(grid.at_elements(np.log(deviation)))
     return Prediction(np.clip(youngs, limits.lower, limits.upper), spread)
+
+
+def fits_better_than_uniform(
+    guess: Float[np.ndarray, " m"], problem: InverseProblem, bounds: Bounds
+) -> bool:
+    """Return whether a guessed map (MPa) fits the presses better than the best uniform one.
+
+    Both are compared at the nuisance values that the recording states, from which inversions start.
+    """
+    try:
+        chi2 = problem.evaluate(guess).chi2
+    except ConvergenceError as error:
+        _log.warning("The surrogate's map is refused: the presses collapse it (%s).", error)
+        return False
+    fit = uniform_fit(problem, bounds, first_mpa=float(np.median(guess)))
+    known = problem.evaluate(np.full(problem.n_elements, fit.youngs_mpa)).chi2
+    if not chi2 < known:
+        _log.warning(
+            "The surrogate's map is refused: its misfit (chi2 %.4g) is no less than that of the "
+            "best uniform map (%.4g).", chi2, known,
+        )  # fmt: skip
+        return False
+    _log.info("The surrogate's map is taken: chi2 %.4g, best uniform map %.4g", chi2, known)
+    return True

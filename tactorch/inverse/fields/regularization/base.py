@@ -157,10 +157,8 @@ def region_values(
 def jumps(mesh: TetMesh) -> sp.csr_matrix:
     """Return the matrix that maps a field to its jumps across interior faces, (faces, m)."""
     first, second = mesh.adjacency.pairs.T
-    faces, ones = np.arange(len(first)), np.ones(len(first))
-    entries = np.concatenate([ones, -ones])
-    places = np.concatenate([faces, faces]), np.concatenate([first, second])
-    return sp.csr_matrix((entries, places), shape=(len(first), mesh.n_tets))
+    unit = sp.identity(mesh.n_tets, format="csr")
+    return unit[first] - unit[second]
 
 
 def relative(sizes: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -4,10 +4,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-from jaxtyping import Float
-
 from tactorch.config import Options, Registry
+from tactorch.inverse.fields import Vector
 from tactorch.inverse.fit.monitor import Monitor, StopReason
 from tactorch.inverse.fit.objective import Objective
 
@@ -19,9 +17,7 @@ class Optimizer(Options, ABC):
     section: ClassVar[str] = "optimizer"
 
     @abstractmethod
-    def minimize(
-        self, objective: Objective, start: Float[np.ndarray, " size"], monitor: Monitor
-    ) -> StopReason:
+    def minimize(self, objective: Objective, start: Vector, monitor: Monitor) -> StopReason:
         """Minimise; the monitor holds the best parameters.
 
         Returns:

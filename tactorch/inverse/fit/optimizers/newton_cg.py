@@ -102,7 +102,7 @@ class _CGSteps(StepSolver):
             orthogonalize=True,
         )
         self._products += self._solved.iterations
-        step: np.ndarray = self._solved.solution
+        step = self._solved.solution
         return step if np.all(np.isfinite(step)) else None
 
     def predicted_fall(self, change: Vector) -> float:

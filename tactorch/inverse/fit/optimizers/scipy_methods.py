@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from scipy.optimize import minimize
 
 from tactorch.config import option
 from tactorch.errors import ConvergenceError
+from tactorch.inverse.fields import Vector
 from tactorch.inverse.fit.monitor import Monitor, StopReason
 from tactorch.inverse.fit.objective import Objective, Point
 from tactorch.inverse.fit.optimizers.base import Optimizer
@@ -35,9 +35,7 @@ class TNC(Optimizer):
     ftol: float = option(1e-12, "Change of the objective at which to stop", gt=0)
     gtol: float = option(1e-10, "Projected gradient at which to stop", gt=0)
 
-    def minimize(
-        self, objective: Objective, start: Float[np.ndarray, " size"], monitor: Monitor
-    ) -> StopReason:
+    def minimize(self, objective: Objective, start: Vector, monitor: Monitor) -> StopReason:
         remaining = self.max_evaluations - monitor.evaluations
         if remaining <= 0:
             return StopReason.EVALUATION_LIMIT
@@ -55,9 +53,7 @@ class LBFGS(Optimizer):
     memory: int = option(30, "Number of gradient pairs", gt=0)
     ftol: float = option(1e-9, "Relative change of the objective that ends a stage", gt=0)
 
-    def minimize(
-        self, objective: Objective, start: Float[np.ndarray, " size"], monitor: Monitor
-    ) -> StopReason:
+    def minimize(self, objective: Objective, start: Vector, monitor: Monitor) -> StopReason:
         point = objective.at(start)
         schedule = RegularizationSchedule.start(point, monitor.state)
         while schedule.ended is None:

@@ -5,12 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import ndtri
 
 from tactorch.errors import ConfigError
-from tactorch.inverse.posterior.gaussian import normal_quantile
 
 # Truth, mean and standard deviation of each element, in the posterior's parameter.
 Estimate = tuple[np.ndarray, np.ndarray, np.ndarray]
+_Levels = Float[np.ndarray, " k"]
 _LEVELS = np.linspace(0.05, 0.95, 19)
 
 
@@ -26,6 +27,13 @@ class Coverage(NamedTuple):
     level: float
     fraction: float
     per_object: Float[np.ndarray, " objects"]
+
+
+def normal_quantile(level: float) -> float:
+    """Return half the width of the central normal interval of a level, in standard deviations."""
+    if not 0 < level < 1:
+        raise ConfigError(f"level={level} must lie between 0 and 1, such as 0.95.")
+    return float(ndtri(0.5 + 0.5 * level))
 
 
 def coverage(
@@ -51,16 +59,12 @@ def coverage(
     return Coverage(level, sum(float(hit @ weight) for hit, weight in pairs) / total, per_object)
 
 
-def calibration_curve(
-    objects: Sequence[Estimate], levels: Float[np.ndarray, " k"] = _LEVELS
-) -> Float[np.ndarray, " k"]:
+def calibration_curve(objects: Sequence[Estimate], levels: _Levels = _LEVELS) -> _Levels:
     """Return the covered fraction at each level; equal to the levels if deviations are exact."""
     return np.array([coverage(objects, float(level)).fraction for level in levels])
 
 
-def calibration_error(
-    objects: Sequence[Estimate], levels: Float[np.ndarray, " k"] = _LEVELS
-) -> float:
+def calibration_error(objects: Sequence[Estimate], levels: _Levels = _LEVELS) -> float:
     """Return the mean distance of the covered fraction from the level; 0 is perfect."""
     return float(np.abs(calibration_curve(objects, levels) - levels).mean())
 
