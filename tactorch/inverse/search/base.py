@@ -76,7 +76,7 @@ class SearchProblem(ABC):
     errors: ErrorModel
     proposals: Sequence[Proposals]
     max_fits: ClassVar[int] = 3
-    tolerance: ClassVar[float] = ROUGH
+    tolerance: float = ROUGH
     trial_share: ClassVar[float] = 1.0
     min_gain: float = MIN_GAIN
     _reduced_sites: Sites

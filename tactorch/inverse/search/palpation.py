@@ -24,9 +24,9 @@ from tactorch.inverse.forward.palpation import PALPATION_ELEMENT, PalpationProbl
 from tactorch.inverse.forward.problem import Evaluation
 from tactorch.inverse.forward.reduced import ReducedProblem
 from tactorch.inverse.posterior.shapes import ShapePosterior
-from tactorch.inverse.search.base import SearchProblem
+from tactorch.inverse.search.base import ROUGH, SearchProblem
 from tactorch.inverse.search.matched import MatchedFilter
-from tactorch.inverse.search.model import Model, Start, less, make_posterior
+from tactorch.inverse.search.model import MIN_GAIN, Model, Start, less, make_posterior
 from tactorch.inverse.search.proposals import backgrounds, changed, further, other_errors
 from tactorch.recording import Recording
 
@@ -74,6 +74,7 @@ class PalpationSearch(SearchProblem):
         self.prior = replace(prior, outside_mm=_OUTSIDE_MM)
         places = len(self.full.indentation.places)
         self.min_gain = _MIN_GAIN * len(recording.presses) / places
+        self.tolerance = ROUGH * self.min_gain / MIN_GAIN
 
     def _use(self, element: str) -> None:
         """Judge models by elements of a type from now on."""
