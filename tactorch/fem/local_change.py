@@ -35,7 +35,7 @@ class Stiffness:
         search = body.search(youngs, np.zeros((body.n_nodes, 3)), supports)
         linearization = search.linearize(search.run().require())
         self.fixed, self._tangent = linearization.fixed, linearization.tangent
-        # Each thread has a factorisation of its own.
+        # Each thread has a separate factorisation.
         self._lease = SharedLease(body.pool, single_precision=True)
         with self._factored():
             pass
