@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tactorch.cli.console import is_no_iteration, log, terminal_log
-from tactorch.inverse.result.text import describe, format_point, format_span, headline
+from tactorch.inverse.result.text import describe, headline, summarize_finding, summarize_plain
 from tactorch.progress import without_progress
 from tactorch.report import Run
 from tactorch.report.content import RunReport
@@ -212,32 +212,6 @@ def _summarize(entry: Mapping[str, Any]) -> str:
     presses = entry["finding_presses"]
     fewer = "" if presses == entry["press"] else f"; of the first {presses} presses"
     return summarize_finding(entry["finding"]) + fewer
-
-
-def summarize_plain(values: Mapping[str, Any] | None, background_mpa: float) -> str:
-    """Return a table cell for a lump as of `Lump.plain`, with its 90 % intervals, or for none."""
-    if values is None:
-        return f"none; {background_mpa:.3g} MPa"
-    radius = _interval(values.get("equivalent_radius_90_mm"))
-    youngs = _interval(values.get("mean_90_mpa"))
-    return (
-        f"{values['side']} at {format_point(values['center_mm'])}, radius "
-        f"{values['equivalent_radius_mm']:.1f}{radius} mm: {values['mean_mpa']:.3g}{youngs} MPa in "
-        f"{values['background_mpa']:.3g}"
-    )
-
-
-def summarize_finding(values: Mapping[str, Any]) -> str:
-    """Return a table cell for a result in plain values, as of `Reconstruction.plain`."""
-    if values["status"] == "cannot tell":
-        return "cannot tell"
-    first, *others = values["lumps"] or [None]
-    more = f"; {len(others)} more" if others else ""
-    return summarize_plain(first, values["background_mpa"]) + more
-
-
-def _interval(ends: Sequence[float] | None) -> str:
-    return "" if ends is None else f" ({format_span(ends, 2)})"
 
 
 def _format_deviation(entry: dict[str, Any]) -> str:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import yaml
@@ -12,13 +12,12 @@ from jaxtyping import Bool, Float
 from tactorch.config.values import leaves
 from tactorch.inverse import Lump, Reconstruction
 from tactorch.inverse.result.text import (
+    Fact,
     describe_lump,
     format_modulus,
-    format_percent,
-    format_point,
-    format_span,
     headline,
     lead,
+    lump_facts,
 )
 from tactorch.metrics import scores
 from tactorch.recording import Press
@@ -47,14 +46,6 @@ _COST = {
     "seconds": ("Time (s)", "min"),
 }
 _Column = dict[str, float]
-
-
-class Fact(NamedTuple):
-    """One quantity of a lump; the note has its interval, definition or further values."""
-
-    label: str
-    value: str
-    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -392,51 +383,3 @@ def _compared_settings(run: Run) -> dict[str, Any]:
 
 def _to_yaml(values: Any) -> str:
     return str(yaml.safe_dump(values, sort_keys=False, allow_unicode=True))
-
-
-def lump_facts(lump: Lump) -> list[Fact]:
-    """Return location, size, modulus and probability, each with its 90 % interval."""
-    inclusion, depth, confidence = lump.inclusion, lump.depth, lump.confidence
-    point, diameter = format_point(inclusion.center_mm), 2 * inclusion.equivalent_radius_mm
-    location = Fact("Location", point)
-    if depth is not None:
-        within = f"{_within(lump.depth_90_mm, 3)}below {depth.surface}; at {point}"
-        location = Fact("Depth", _length(depth.center_mm, lump.depth_90_mm), within)
-    radii = None if confidence is None else confidence.radius_mm
-    diameters = None if radii is None else (2 * radii[0], 2 * radii[1])
-    volume = f"diameter of a ball of its volume, {inclusion.volume_mm3:.3g} mm³"
-    volume = _within(diameters, 3) + volume
-    youngs = None if confidence is None else confidence.youngs_mpa
-    kind = "mean; " if youngs is None else _within(youngs)
-    background = f"{kind}{format_modulus(inclusion.background_mpa)} in its surroundings"
-    return [
-        location,
-        Fact("Size", _length(diameter, diameters), volume),
-        Fact("Young's modulus", format_modulus(inclusion.mean_mpa), background),
-        _probability(lump),
-    ]
-
-
-def _probability(lump: Lump) -> Fact:
-    confidence, side = lump.confidence, lump.inclusion.side
-    if confidence is None:
-        return Fact("Probability", "unknown", "the uncertainty was not computed")
-    is_shape = confidence.radius_mm is not None
-    what = "that the inclusion exists" if is_shape else f"that it is {side}er than its surroundings"
-    deviation = float(np.linalg.norm(confidence.center_deviation_mm))
-    return Fact(
-        "Probability",
-        format_percent(confidence.probability).replace("more than", "over"),
-        f"{what}, given noise and prior; 90 % interval of the ratio of moduli "
-        f"{format_span(confidence.contrast, 2)}; standard deviation of its centre "
-        f"{deviation:.2g} mm",
-    )
-
-
-def _length(value_mm: float, within_mm: Sequence[float] | None) -> str:
-    """Return a length with the digits of its interval."""
-    return f"{value_mm:.1f} mm" if within_mm is None else f"{value_mm:#.3g} mm"
-
-
-def _within(ends: Sequence[float] | None, digits: int = 2) -> str:
-    return "" if ends is None else f"90 %: {format_span(ends, digits)}; "

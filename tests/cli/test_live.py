@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactorch.cli.live_view import Screen, summarize_finding
+from tactorch.cli.live_view import Screen
 from tactorch.inverse import IncrementalResult, Lump, Reconstruction
 from tactorch.inverse.result import Confidence
 from tactorch.inverse.result.text import describe
@@ -228,34 +228,3 @@ def test_inversions_that_cannot_grow_are_refused(
     done = tactorch("live", f"recording={recording}", "idle_seconds=0.01", *settings)
     assert done.status == 2
     assert words in done.err
-
-
-SHAPE = {
-    "side": "stiff",
-    "center_mm": [5.0, 5.0, 6.0],
-    "equivalent_radius_mm": 2.0,
-    "mean_mpa": 0.94,
-    "background_mpa": 0.2,
-}
-INTERVALS = {"equivalent_radius_90_mm": [1.91, 2.12], "mean_90_mpa": [0.74, 1.2]}
-
-
-def plain(status: str, *lumps: dict[str, object]) -> dict[str, object]:
-    return {"status": status, "background_mpa": 0.204, "lumps": list(lumps)}
-
-
-@pytest.mark.parametrize(
-    ("values", "text"),
-    [
-        (plain("cannot tell"), "cannot tell"),
-        (plain("nothing found"), "none; 0.204 MPa"),
-        (plain("found", SHAPE), "stiff at (5.0, 5.0, 6.0) mm, radius 2.0 mm: 0.94 MPa in 0.2"),
-        (
-            plain("found", SHAPE | INTERVALS, SHAPE),
-            "stiff at (5.0, 5.0, 6.0) mm, radius 2.0 (1.9 to 2.1) mm: 0.94 (0.74 to 1.2) MPa in "
-            "0.2; 1 more",
-        ),
-    ],
-)
-def test_a_finding_fits_a_cell(values: dict[str, object], text: str) -> None:
-    assert summarize_finding(values) == text

@@ -26,11 +26,11 @@ from tactorch.inverse import (
 )
 from tactorch.inverse.data.misfit import Huber
 from tactorch.inverse.result.build import with_lumps
-from tactorch.inverse.result.text import describe_lump
+from tactorch.inverse.result.text import Fact, describe_lump
 from tactorch.recording import Recording
 from tactorch.report import Run, load_run, run_names, write_report
 from tactorch.report.assessment import assess
-from tactorch.report.content import Fact, RunReport, score_table
+from tactorch.report.content import RunReport, score_table
 
 
 def page_of(run: Any, out: Path, **options: Any) -> str:

@@ -1,7 +1,7 @@
 """The words for a result, shared by the command line, the report, notebooks and live runs."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,14 @@ _UNCERTAIN = 0.1  # width of the interval of a depth, over the depth, from which
 # Probabilities above which a lump is certain, and below which it is doubtful.
 _CERTAIN, _DOUBTFUL = 0.99, 0.9
 _SURE = 0.999  # probability above which the excess is not stated
+
+
+class Fact(NamedTuple):
+    """One quantity of a lump; the note has its interval, definition or further values."""
+
+    label: str
+    value: str
+    note: str = ""
 
 
 def summarize(result: Reconstruction) -> str:
@@ -81,7 +89,7 @@ def lead(result: Reconstruction) -> str:
     first = f"{_headline(lump)}. " if len(result.lumps) > 1 else ""
     depth, diameter = lump.depth, 2 * lump.inclusion.equivalent_radius_mm
     centre = "" if depth is None else f"its centre {depth.center_mm:.1f} mm below {depth.surface}, "
-    point = format_point(lump.inclusion.center_mm)
+    point = _point(lump.inclusion.center_mm)
     return f"{first}It is at {point}, {centre}and has the volume of a ball of {diameter:.1f} mm."
 
 
@@ -94,7 +102,7 @@ def describe_lump(lump: Lump) -> str:
     if lump.elongation is not None:
         size, kind = lump.elongation.text(), f"A long {side} lump"
     text = (
-        f"{kind} at {format_point(inclusion.center_mm, 2)}{below}, {size} "
+        f"{kind} at {_point(inclusion.center_mm, 2)}{below}, {size} "
         f"(the volume of a ball of radius {inclusion.equivalent_radius_mm:.2g} mm), "
         f"{ratio:.2g} times as {side} as its surroundings ({inclusion.mean_mpa:.3g} in "
         f"{inclusion.background_mpa:.3g} MPa)."
@@ -111,20 +119,63 @@ def describe_lump(lump: Lump) -> str:
 
 def _confidence(lump: Lump, confidence: Confidence) -> str:
     deviation = float(np.linalg.norm(confidence.center_deviation_mm))
-    parts = [f"{format_span(confidence.contrast, 2)} for the ratio of moduli"]
+    parts = [f"{_span(confidence.contrast, 2)} for the ratio of moduli"]
     if confidence.youngs_mpa is not None:
-        parts = [f"{format_span(confidence.youngs_mpa, 2)} MPa for its modulus"]
+        parts = [f"{_span(confidence.youngs_mpa, 2)} MPa for its modulus"]
     if confidence.radius_mm is not None:
-        parts.insert(0, f"{format_span(confidence.radius_mm)} mm for that radius")
+        parts.insert(0, f"{_span(confidence.radius_mm)} mm for that radius")
     depth, depths = lump.depth, lump.depth_90_mm
     if depth and depths and depths[1] - depths[0] > _UNCERTAIN * depth.center_mm:
-        parts.append(f"{format_span(depths, 2)} mm for its depth")
+        parts.append(f"{_span(depths, 2)} mm for its depth")
     many = "90 % intervals are" if len(parts) > 1 else "the 90 % interval is"
     stated = ", ".join(parts[:-1]) + " and " * (len(parts) > 1) + parts[-1]
     return (
-        f"Given noise and prior, its probability is {format_percent(confidence.probability)}, "
-        f"{many} {stated}, and the standard deviation of its centre is {deviation:.2g} mm."
+        f"Given noise and prior, its probability is {_percent(confidence.probability)}, {many} "
+        f"{stated}, and the standard deviation of its centre is {deviation:.2g} mm."
     )
+
+
+def lump_facts(lump: Lump) -> list[Fact]:
+    """Return location, size, modulus and probability, each with its 90 % interval."""
+    inclusion, depth, confidence = lump.inclusion, lump.depth, lump.confidence
+    point, diameter = _point(inclusion.center_mm), 2 * inclusion.equivalent_radius_mm
+    location = Fact("Location", point)
+    if depth is not None:
+        within = f"{_within(lump.depth_90_mm, 3)}below {depth.surface}; at {point}"
+        location = Fact("Depth", _length(depth.center_mm, lump.depth_90_mm), within)
+    radii = None if confidence is None else confidence.radius_mm
+    diameters = None if radii is None else (2 * radii[0], 2 * radii[1])
+    volume = f"diameter of a ball of its volume, {inclusion.volume_mm3:.3g} mm³"
+    volume = _within(diameters, 3) + volume
+    youngs = None if confidence is None else confidence.youngs_mpa
+    kind = "mean; " if youngs is None else _within(youngs)
+    background = f"{kind}{format_modulus(inclusion.background_mpa)} in its surroundings"
+    return [
+        location,
+        Fact("Size", _length(diameter, diameters), volume),
+        Fact("Young's modulus", format_modulus(inclusion.mean_mpa), background),
+        _probability(lump),
+    ]
+
+
+def _probability(lump: Lump) -> Fact:
+    confidence, side = lump.confidence, lump.inclusion.side
+    if confidence is None:
+        return Fact("Probability", "unknown", "the uncertainty was not computed")
+    is_shape = confidence.radius_mm is not None
+    what = "that the inclusion exists" if is_shape else f"that it is {side}er than its surroundings"
+    deviation = float(np.linalg.norm(confidence.center_deviation_mm))
+    return Fact(
+        "Probability",
+        _percent(confidence.probability).replace("more than", "over"),
+        f"{what}, given noise and prior; 90 % interval of the ratio of moduli "
+        f"{_span(confidence.contrast, 2)}; standard deviation of its centre {deviation:.2g} mm",
+    )
+
+
+def _length(value_mm: float, within_mm: Sequence[float] | None) -> str:
+    """Return a length with the digits of its interval."""
+    return f"{value_mm:.1f} mm" if within_mm is None else f"{value_mm:#.3g} mm"
 
 
 def format_modulus(value: float) -> str:
@@ -132,18 +183,45 @@ def format_modulus(value: float) -> str:
     return f"{value:#.2g}".rstrip(".") + " MPa"
 
 
-def format_percent(probability: float) -> str:
-    """Return a probability in percent."""
+def summarize_plain(values: Mapping[str, Any] | None, background_mpa: float) -> str:
+    """Return a table cell for a lump as of `Lump.plain`, with its 90 % intervals, or for none."""
+    if values is None:
+        return f"none; {background_mpa:.3g} MPa"
+    radius = _interval(values.get("equivalent_radius_90_mm"))
+    youngs = _interval(values.get("mean_90_mpa"))
+    return (
+        f"{values['side']} at {_point(values['center_mm'])}, radius "
+        f"{values['equivalent_radius_mm']:.1f}{radius} mm: {values['mean_mpa']:.3g}{youngs} MPa in "
+        f"{values['background_mpa']:.3g}"
+    )
+
+
+def summarize_finding(values: Mapping[str, Any]) -> str:
+    """Return a table cell for a result in plain values, as of `Reconstruction.plain`."""
+    if values["status"] == "cannot tell":
+        return "cannot tell"
+    first, *others = values["lumps"] or [None]
+    more = f"; {len(others)} more" if others else ""
+    return summarize_plain(first, values["background_mpa"]) + more
+
+
+def _percent(probability: float) -> str:
     if probability > _SURE:
         return f"more than {100 * _SURE:.1f} %"
     return f"{100 * probability:.3g} %"
 
 
-def format_span(ends: Sequence[float], digits: int = 3) -> str:
-    """Return an interval."""
+def _span(ends: Sequence[float], digits: int = 3) -> str:
     return f"{ends[0]:.{digits}g} to {ends[1]:.{digits}g}"
 
 
-def format_point(center_mm: Any, digits: int = 1) -> str:
-    """Return a point, mm."""
+def _within(ends: Sequence[float] | None, digits: int = 2) -> str:
+    return "" if ends is None else f"90 %: {_span(ends, digits)}; "
+
+
+def _interval(ends: Sequence[float] | None) -> str:
+    return "" if ends is None else f" ({_span(ends, 2)})"
+
+
+def _point(center_mm: Any, digits: int = 1) -> str:
     return f"({', '.join(f'{x:.{digits}f}' for x in center_mm)}) mm"

@@ -7,10 +7,9 @@ import scipy.sparse as sp
 from tactorch.inverse import Log, find_lump
 from tactorch.inverse.posterior import LaplacePosterior
 from tactorch.inverse.result.regions import compute_confidence
-from tactorch.inverse.result.text import describe
+from tactorch.inverse.result.text import describe, lump_facts
 from tactorch.mesh import box_mesh, face_nodes
 from tactorch.recording import MaterialSpec, Press, Recording
-from tactorch.report.content import lump_facts
 
 MESH = box_mesh(10.0, 6)
 INSIDE = np.linalg.norm(MESH.centroids - [5, 5, 7], axis=1) < 2.5
