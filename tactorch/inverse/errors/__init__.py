@@ -1,6 +1,7 @@
 """Errors of the measurement, one file each, and the covariance of the data that follows."""
 
-from tactorch.inverse.errors.base import ErrorModel, ErrorSource, Levels, MeasuredPresses
+from tactorch.inverse.errors.base import ErrorSource, Levels, MeasuredPresses
+from tactorch.inverse.errors.covariance import ErrorModel
 from tactorch.inverse.errors.discretisation import DiscretisationRemainder
 from tactorch.inverse.errors.forces import Forces
 from tactorch.inverse.errors.pose import Pose

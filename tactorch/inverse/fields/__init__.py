@@ -5,7 +5,8 @@ from tactorch.inverse.fields.ball import BALL
 from tactorch.inverse.fields.base import ElementField, FieldPoint, ModulusField, Vector
 from tactorch.inverse.fields.ellipsoid import ELLIPSOID
 from tactorch.inverse.fields.family import FAMILIES, Family
-from tactorch.inverse.fields.inclusion import CENTER, SIZE, Candidate, InclusionShape, ShapePrior
+from tactorch.inverse.fields.inclusion import CENTER, SIZE, Candidate, InclusionShape
+from tactorch.inverse.fields.prior import ShapePrior
 from tactorch.inverse.fields.shapes import ShapeField
 from tactorch.inverse.fields.sites import Sites
 

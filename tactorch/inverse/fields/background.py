@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.polynomial.legendre import legvander
 
-from tactorch.inverse.fields.inclusion import ShapePrior
+from tactorch.inverse.fields.prior import ShapePrior
 
 
 @dataclass(frozen=True)

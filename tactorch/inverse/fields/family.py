@@ -23,8 +23,8 @@ from tactorch.inverse.fields.inclusion import (
     Candidate,
     InclusionShape,
     Parameters,
-    ShapePrior,
 )
+from tactorch.inverse.fields.prior import ShapePrior
 from tactorch.inverse.fields.sites import Sites
 
 #: Families by name. A family is an object of a class in one file, and a line here.

@@ -16,7 +16,8 @@ from tactorch.inverse.fields import strength
 from tactorch.inverse.fields.background import Background
 from tactorch.inverse.fields.base import Vector
 from tactorch.inverse.fields.family import FAMILIES, Family
-from tactorch.inverse.fields.inclusion import InclusionShape, Parameters, ShapePrior
+from tactorch.inverse.fields.inclusion import InclusionShape, Parameters
+from tactorch.inverse.fields.prior import ShapePrior
 from tactorch.inverse.fields.sites import Sites
 
 _UNIFORM = Background()

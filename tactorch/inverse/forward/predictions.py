@@ -26,8 +26,7 @@ class Predictions(NamedTuple):
         are of the data as they were recorded.
         """
         n = recording.mesh.n_points
-        shifted = np.concatenate([o.values for o in evaluation.data.observations])
-        correction = observed_data(recording.presses) - shifted
+        correction = observed_data(recording.presses) - evaluation.data.values
         return Predictions(
             np.array([u[:n] for u in evaluation.displacements]).reshape(-1, n, 3),
             np.concatenate(evaluation.predicted) + correction,

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -65,6 +65,14 @@ class _PressSolution:
         return self.model.reported(self.equilibrium.displacement)
 
 
+class _LinearResponse(NamedTuple):
+    """Changes of the data (mm or N) and displacements (mm) of each press by changes of moduli."""
+
+    changes: Changes
+    columns: Columns
+    fields: list[NodalFields]
+
+
 class Evaluation:
     """All presses at one map of moduli; derivatives are computed on demand.
 
@@ -88,8 +96,7 @@ class Evaluation:
         self.derivative_rtol = derivative_rtol
         self.youngs, self.nuisance = youngs, nuisance
         self._weight, self._presses = weight, presses
-        # The last changes of moduli, with those of the data (mm or N) and displacements (mm).
-        self._response: tuple[Changes, Columns, list[NodalFields]] | None = None
+        self._response: _LinearResponse | None = None  # the last one
         self._compare(data)
 
     def _compare(self, data: DataModel) -> None:
@@ -223,10 +230,10 @@ class Evaluation:
 
         The last response is kept, also by `with_data`, for the same changes.
         """
-        if self._response is None or not np.array_equal(self._response[0], changes):
-            self._response = changes.copy(), *self._respond(changes)
-        _, columns, fields = self._response
-        return self._of_residuals(columns * self.data.scale[:, None]), fields
+        if self._response is None or not np.array_equal(self._response.changes, changes):
+            self._response = _LinearResponse(changes.copy(), *self._respond(changes))
+        columns = self._response.columns * self.data.scale[:, None]
+        return self._of_residuals(columns), self._response.fields
 
     def _respond(self, changes: Changes) -> tuple[Columns, list[NodalFields]]:
         """Return the changes of the data (mm or N), and of the displacements of each press (mm)."""

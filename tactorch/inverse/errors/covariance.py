@@ -1,0 +1,93 @@
+"""The covariance of the data: white noise, and errors that the data have in common."""
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float
+
+from tactorch.inverse.data.observations import DataModel
+from tactorch.inverse.errors.base import ErrorSource, Levels, MeasuredPresses
+from tactorch.inverse.forward.problem import Evaluation
+
+
+class ErrorModel:
+    """Errors of the data at any deviations.
+
+    Args:
+        presses: The presses.
+        errors: Errors that may occur.
+        requested: Names of those that are taken into account on request.
+
+    Attributes:
+        presses: The presses.
+        errors: Errors that occur.
+        least: Their deviations in the simplest model.
+    """
+
+    def __init__(
+        self,
+        presses: MeasuredPresses,
+        errors: Iterable[ErrorSource],
+        requested: Collection[str] = (),
+    ) -> None:
+        counted = [error for error in errors if not error.on_request or error.name in requested]
+        least = {error: error.least(presses) for error in counted}
+        self.presses = presses
+        self.errors = tuple(error for error, level in least.items() if level is not None)
+        self.least: Levels = {error.name: level for error, level in least.items() if level}
+        self._data: dict[frozenset[tuple[str, float]], DataModel] = {}
+        self._patterns = {e.name: e.patterns(presses) for e in self.errors if not e.elements}
+
+    def linearise(self, evaluation: Evaluation, *elements: str) -> None:
+        """Compute the changes of the data by errors that need predictions of these elements."""
+        presses = replace(self.presses, linearised=evaluation)
+        for error in self.errors:
+            if error.elements in elements:
+                self._patterns[error.name] = error.patterns(presses)
+        self._data.clear()
+
+    def lacks(self, levels: Levels) -> bool:
+        """Return whether an error of these was not linearised."""
+        return any(level and name not in self._patterns for name, level in levels.items())
+
+    def data(self, levels: Levels) -> DataModel:
+        """Return the data with errors of these deviations, whose covariance is computed once."""
+        key = frozenset(levels.items())
+        if key not in self._data:
+            data = self.presses.problem.data
+            used = [error.name for error in self.errors if levels.get(error.name)]
+            # Sparse patterns remain so where they are the first.
+            for name in sorted(used, key=lambda name: not sp.issparse(self._patterns[name])):
+                data = data.with_errors(levels[name] * self._patterns[name])
+            self._data[key] = data
+        return self._data[key]
+
+    def corrected(self, corrections_mm: Sequence[Float[np.ndarray, " _"]]) -> "ErrorModel":
+        """Return the errors of data with other corrections of the discretisation, mm."""
+        presses = self.presses
+        assert presses.corrections_mm is not None
+        pairs = zip(presses.corrections_mm, corrections_mm, strict=True)
+        data = presses.problem.data.shifted([old - new for old, new in pairs])
+        problem = presses.problem.with_data(data)
+        presses = replace(presses, problem=problem, corrections_mm=corrections_mm)
+        other = ErrorModel(presses, self.errors, [error.name for error in self.errors])
+        other._patterns = self._patterns | other._patterns
+        return other
+
+    def at_least(self, levels: Levels) -> Levels:
+        """Return deviations of the errors that occur, no smaller than the least ones."""
+        names = [error.name for error in self.errors]
+        highest = {k: max(levels.get(k, 0.0), self.least.get(k, 0.0)) for k in names}
+        return {name: level for name, level in highest.items() if level}
+
+    def others(self, levels: Levels) -> Iterator[tuple[str, Levels]]:
+        """Yield deviations that differ in one respect, at least the least, with descriptions."""
+        for error in self.errors:
+            least, present = self.least.get(error.name, 0.0), levels.get(error.name, 0.0)
+            for level in (least, *error.levels):
+                if level >= least and level != present:
+                    rest = {name: x for name, x in levels.items() if name != error.name}
+                    changed = {**rest, error.name: level} if level else rest
+                    yield error.proposal.format(level), changed
