@@ -232,8 +232,9 @@ class Indentation:
         *,
         per_point: bool,
         nodes: Int[np.ndarray, "m _"] | None = None,
+        moduli: Float[np.ndarray, "m q"] | float = 1.0,
     ) -> Float[np.ndarray, "pairs moduli s"]:
-        """Return the strain energies between fields per unit modulus: minus dC/dE, mm^3/N^2.
+        """Return the strain energies between fields at some moduli: minus dC/dE at 1, mm^3/N^2.
 
         Args:
             fields: Displacements by unit loads, mm/N.
@@ -241,12 +242,13 @@ class Indentation:
             places: Number of places.
             per_point: Whether moduli are those of quadrature points.
             nodes: Rows of the fields for the nodes of each element, if not those of the body.
+            moduli: Those of the quadrature points, MPa.
         """
         assembly = self.body.assembly
         nodes = self.body.discretisation.nodes if nodes is None else nodes
         poisson = np.broadcast_to(np.asarray(assembly.poisson), len(assembly.weights))[elements]
         first, second = (np.ascontiguousarray(value) for value in lame(poisson))
-        weights = assembly.weights[elements]
+        weights = (assembly.weights * moduli)[elements]
         k = fields.shape[1] // places
         sites = weights.shape[1] if per_point else 1
         out = np.zeros((k * (k + 1) // 2, len(weights) * sites, places), dtype=np.float32)
@@ -354,17 +356,25 @@ class IndentedBody:
             out[:, chunk] = part
         return out.reshape(rows, -1)
 
-    def combined_rates(self, chain: sp.csr_matrix) -> Float[np.ndarray, "data moduli"]:
-        """Return the product of a sparse matrix and `rates`, which are not kept."""
+    def combined_rates(
+        self, chain: sp.csr_matrix, *, logarithmic: bool = False
+    ) -> Float[np.ndarray, "data moduli"]:
+        """Return the product of a sparse matrix and `rates`, which are not kept.
+
+        With `logarithmic` they are by the logarithms of factors of the elements' moduli, in single
+        precision.
+        """
         count = len(self._indentation.places)
+        kind, size = (np.float32, len(self.youngs)) if logarithmic else (float, self.youngs.size)
         check_work(
-            f"the derivatives of {chain.shape[0]} data", 8.0 * chain.shape[0] * self.youngs.size
+            f"the derivatives of {chain.shape[0]} data",
+            float(chain.shape[0]) * size * np.dtype(kind).itemsize,
         )
-        out = np.zeros((chain.shape[0], self.youngs.size))
-        for chunk, part in self._rates():
+        out = np.zeros((chain.shape[0], size), dtype=kind)
+        for chunk, part in self._rates(logarithmic):
             columns = chain[:, (np.arange(self._pairs)[:, None] * count + chunk).ravel()]
             rows = np.flatnonzero(np.diff(columns.indptr))
-            out[rows] += columns[rows] @ part.reshape(-1, self.youngs.size)
+            out[rows] += columns[rows].astype(kind) @ part.reshape(-1, size)
         return out
 
     def compliance_changes(
@@ -421,32 +431,43 @@ class IndentedBody:
         else:
             yield from self._full_solution.parts()
 
-    def _rates(self) -> Iterator[tuple[np.ndarray, Float[np.ndarray, "pairs s moduli"]]]:
+    def _rates(
+        self, logarithmic: bool = False
+    ) -> Iterator[tuple[np.ndarray, Float[np.ndarray, "pairs s moduli"]]]:
         """Yield places with minus the derivatives of their compliance by the moduli."""
         indentation = self._indentation
         rows, cols = np.triu_indices(len(_FRACTIONS))
         everything = np.arange(len(self._by_element))
         for part in self._full_solution.parts():
             missed = indentation.missed[part.places][:, rows, cols].T[..., None].astype(np.float32)
-            softened = indentation.shares[:, part.places].T.toarray() / self._by_element**2
-            points = softened[..., None] * self._point_weights
-            out = missed * points.reshape(len(softened), -1).astype(np.float32)
-            _each(partial(self._add_rates, part, out), everything)
+            softened = indentation.shares[:, part.places].T.toarray() / self._by_element
+            if not logarithmic:
+                points = (softened / self._by_element)[..., None] * self._point_weights
+                softened = points.reshape(len(points), -1)
+            out = missed * softened.astype(np.float32)
+            _each(partial(self._add_rates, part, logarithmic, out), everything)
             yield part.places, out
 
     def _add_rates(
-        self, part: "_Part", out: Float[np.ndarray, "pairs s moduli"], elements: np.ndarray
+        self,
+        part: "_Part",
+        logarithmic: bool,
+        out: Float[np.ndarray, "pairs s moduli"],
+        elements: Int[np.ndarray, " e"],
     ) -> None:
         """Add the energies of consecutive elements."""
-        moduli = slice(elements[0] * self._sites, (elements[-1] + 1) * self._sites)
-        out[:, :, moduli] += self._energies(part, elements).swapaxes(1, 2)
+        sites = 1 if logarithmic else self._sites
+        moduli = slice(elements[0] * sites, (elements[-1] + 1) * sites)
+        out[:, :, moduli] += self._energies(part, elements, logarithmic).swapaxes(1, 2)
 
     def _energies(
-        self, part: "_Part", elements: Int[np.ndarray, " e"]
+        self, part: "_Part", elements: Int[np.ndarray, " e"], logarithmic: bool = False
     ) -> Float[np.ndarray, "pairs moduli s"]:
+        """Return the energies of elements per unit modulus, or with their moduli."""
+        moduli = self.youngs.reshape(len(self.youngs), -1) if logarithmic else 1.0
         return self._indentation.energies(
-            part.fields, elements, len(part.places), per_point=self.youngs.ndim == 2,
-            nodes=part.nodes,
+            part.fields, elements, len(part.places), nodes=part.nodes, moduli=moduli,
+            per_point=self.youngs.ndim == 2 and not logarithmic,
         )  # fmt: skip
 
     @property

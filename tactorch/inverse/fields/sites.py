@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 
 from tactorch.fem.assembly import Assembly
 from tactorch.inverse.fields.inclusion import InclusionShape
+from tactorch.mesh import TetMesh
 from tactorch.mesh.quadrature import samples_around
 
 _WIDTH = 0.15  # width of a boundary over the cube root of the element's volume
@@ -30,11 +31,19 @@ class Sites:
     @staticmethod
     def of(assembly: Assembly) -> "Sites":
         """Return the volumes around the quadrature points of a body's elements."""
-        mesh, rule = assembly.discretisation.mesh, assembly.discretisation.element.points
+        return Sites._of(assembly.discretisation.mesh, assembly.discretisation.element.points)
+
+    @staticmethod
+    def of_elements(mesh: TetMesh) -> "Sites":
+        """Return the volumes of the elements of a mesh."""
+        return Sites._of(mesh, np.full((1, 4), 0.25))
+
+    @staticmethod
+    def _of(mesh: TetMesh, rule: Float[np.ndarray, "q 4"]) -> "Sites":
         points = samples_around(rule) @ mesh.points[mesh.tets]
-        shape = assembly.weights.shape
-        width = _WIDTH * np.cbrt(np.repeat(assembly.volumes, shape[1]))
-        return Sites(points.reshape(shape[0] * shape[1], -1, 3), width, shape)
+        width = _WIDTH * np.cbrt(np.repeat(np.abs(mesh.volumes), len(rule)))
+        points = points.reshape(mesh.n_tets * len(rule), -1, 3)
+        return Sites(points, width, (mesh.n_tets, len(rule)))
 
     @cached_property
     def centers(self) -> Float[np.ndarray, "volumes 3"]:

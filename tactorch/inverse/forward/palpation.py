@@ -115,6 +115,9 @@ class PalpationEvaluation(Evaluation):
     def jacobian(self) -> Float[np.ndarray, "data moduli"]:
         return self._of_residuals(self._body.combined_rates(self._scaled_chain))
 
+    def log_rates(self) -> Float[np.ndarray, "data m"]:
+        return self._body.combined_rates(self._chain, logarithmic=True)
+
     def jacobian_times(self, change: Moduli) -> Float[np.ndarray, " data"]:
         moved = self._body.rates @ change.ravel().astype(np.float32)
         return self._of_residuals(self._scaled_chain @ moved.astype(np.float64))

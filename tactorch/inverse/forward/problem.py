@@ -176,6 +176,12 @@ class Evaluation:
         parts = map_cases(lambda i: cases[i].matrix() * data[i].scale[:, None], len(cases))
         return self._join(parts)
 
+    def log_rates(self) -> Float[np.ndarray, "data m"]:
+        """Return the derivatives of the data (mm, N or N mm) by the log-modulus of each element."""
+        rates = self.with_data(DataModel(self.data.observations)).jacobian()
+        rates *= self.youngs.ravel() / self.data.scale[:, None]
+        return rates.reshape(len(rates), len(self.youngs), -1).sum(axis=2)
+
     def nuisance_jacobian(self, names: tuple[str, ...]) -> Columns:
         """Return d residuals / d nuisance parameters, by one solve per component and press.
 

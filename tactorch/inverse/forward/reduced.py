@@ -41,11 +41,9 @@ class ReducedProblem(InverseProblem):
 
     def __init__(self, problem: InverseProblem, evaluation: Evaluation) -> None:
         vars(self).update(vars(problem))
-        white = evaluation.with_data(DataModel(problem.data.observations))
-        means, rates = _means(evaluation.youngs), white.jacobian()
-        rates *= means / problem.data.scale[:, None]
-        self.rates: Float[np.ndarray, "data m"] = rates.astype(np.float32)
-        self._log_youngs = np.log(means)
+        rates = evaluation.log_rates().astype(np.float32, copy=False)
+        self.rates: Float[np.ndarray, "data m"] = rates
+        self._log_youngs = np.log(_means(evaluation.youngs))
         self._at_reference = evaluation.predicted
 
     @staticmethod
@@ -64,7 +62,7 @@ class ReducedProblem(InverseProblem):
 
     def evaluate(self, youngs: Moduli, *_near: Any, **_options: Any) -> "ReducedEvaluation":
         """Return all presses at these moduli; the other arguments have no effect."""
-        check_youngs(youngs, self.body.assembly.weights.shape)
+        check_youngs(youngs, (len(self._log_youngs), youngs.shape[-1]))
         return ReducedEvaluation(self, youngs, self.data)
 
     def predicted(self, youngs: Moduli) -> list[Float[np.ndarray, " _"]]:

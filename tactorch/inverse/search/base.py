@@ -278,7 +278,7 @@ class SearchProblem(ABC):
 
     @property
     def _white(self) -> DataModel:
-        return replace(self.full.data, correlated=None)
+        return replace(self.errors.presses.problem.data, correlated=None)
 
     def data(self, errors: Levels) -> DataModel:
         """Return the data with these errors, about a uniform body where there is no model yet."""

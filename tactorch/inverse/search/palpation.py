@@ -20,18 +20,18 @@ from tactorch.inverse.errors.smooth_forces import border_distances, correlation_
 from tactorch.inverse.fields import ShapePrior, Sites
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.shapes import Evidence
-from tactorch.inverse.forward.palpation import PALPATION_ELEMENT, PalpationProblem
+from tactorch.inverse.forward.palpation import PALPATION_ELEMENT, PalpationProblem, group_places
 from tactorch.inverse.forward.problem import Evaluation
 from tactorch.inverse.forward.reduced import ReducedProblem
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.search.base import ROUGH, SearchProblem
 from tactorch.inverse.search.matched import MatchedFilter
-from tactorch.inverse.search.model import MIN_GAIN, Model, Start, less, make_posterior
+from tactorch.inverse.search.model import MIN_GAIN, Model, less, make_posterior
 from tactorch.inverse.search.proposals import backgrounds, changed, further, other_errors
+from tactorch.mesh.geometry import farthest_point_order
 from tactorch.recording import Recording
 
-_SEARCHED = "tet4"  # elements of the search; the result is fitted with better ones
-_TOLERANCE = 0.05  # of the last fit
+_TOLERANCE = 0.5  # of the last fit, from which the posterior is one step further
 # Of the log-evidence, over the presses of a place, for a model that is accepted: the errors of
 # these presses are not independent.
 _MIN_GAIN = 10.0
@@ -43,6 +43,22 @@ _OUTSIDE_MM = 1.0  # standard deviation of the length of inclusions outside the 
 _DEEPEST = 1.0  # centre of an inclusion, over the correlation length of smooth errors
 
 
+def at_some_places(recording: Recording, count: int) -> Recording | None:
+    """Return the presses at places that are far from each other; None of less than twice as many.
+
+    Args:
+        recording: The presses.
+        count: Number of the places.
+    """
+    poses = [press.probe for press in recording.presses if press.probe is not None]
+    places, first = group_places(poses)
+    if len(first) < 2 * count:
+        return None
+    points = np.array([poses[i].position_mm for i in first])
+    kept = farthest_point_order(points, count, 0)
+    return recording.select(np.flatnonzero(np.isin(places, kept)).tolist())
+
+
 class PalpationSearch(SearchProblem):
     """The presses of a palpation; see `SearchProblem`.
 
@@ -51,6 +67,7 @@ class PalpationSearch(SearchProblem):
         settings: Noise, solver and equilibrium search are used.
         stop: See `SearchProblem`.
         max_shapes: Largest number of inclusions.
+        element: Elements of the body.
     """
 
     full: PalpationProblem
@@ -63,28 +80,21 @@ class PalpationSearch(SearchProblem):
         settings: Settings,
         stop: Callable[[], bool] = lambda: False,
         max_shapes: int = 0,
+        element: str = PALPATION_ELEMENT,
     ) -> None:
         super().__init__(stop, max_shapes)
-        self._recording, self._settings = recording, settings
-        self._use(_SEARCHED)
-        self._reduced_sites = self.sites
-        uniform = np.full(self.full.n_elements, self.full.contact_mpa)
-        self._linearise_about(self.full.evaluate(uniform))
-        prior = ShapePrior.of(recording.mesh, self.full.contact_mpa)
-        self.prior = replace(prior, outside_mm=_OUTSIDE_MM)
-        places = len(self.full.indentation.places)
-        self.min_gain = _MIN_GAIN * len(recording.presses) / places
-        self.tolerance = ROUGH * self.min_gain / MIN_GAIN
-
-    def _use(self, element: str) -> None:
-        """Judge models by elements of a type from now on."""
-        settings = self._settings
         self.full = PalpationProblem(
-            self._recording, element=element, solver=settings.solver, noise=settings.noise,
+            recording, element=element, solver=settings.solver, noise=settings.noise,
             newton=settings.newton,
         )  # fmt: skip
         self.sites = Sites.of(self.full.body.assembly)
+        self._reduced_sites = Sites.of_elements(recording.mesh)
         self.errors = ErrorModel(MeasuredPresses(self.full), ERRORS)
+        self._linearise_about(self.full.evaluate(np.full(self.sites.shape, self.full.contact_mpa)))
+        prior = ShapePrior.of(recording.mesh, self.full.contact_mpa)
+        self.prior = replace(prior, outside_mm=_OUTSIDE_MM)
+        self.min_gain = _MIN_GAIN * len(recording.presses) / len(self.full.indentation.places)
+        self.tolerance = ROUGH * self.min_gain / MIN_GAIN
 
     def _linearise_about(self, evaluation: Evaluation) -> None:
         self.reduced = ReducedProblem(self.full, evaluation)
@@ -100,13 +110,8 @@ class PalpationSearch(SearchProblem):
         return model
 
     def final(self, model: Model) -> Model:
-        """Return the model fitted closely with better elements."""
-        before, fit = self.full.contact_mpa, model.fit
-        self._use(PALPATION_ELEMENT)
-        z, level = fit.z.copy(), fit.field.background.level
-        # Linear elements are too stiff under the balls.
-        z[level] += np.log(self.full.contact_mpa / before) / fit.field.deviation[level]
-        return self.fit(Start("final fit", fit.field, z, model.errors), None, _TOLERANCE)
+        """Return the model fitted closely."""
+        return self._fit_further(model, "final", _TOLERANCE)
 
     def without(self, model: Model, removed: Sequence[int]) -> Evidence:
         """Return the evidence of a final model without some inclusions.

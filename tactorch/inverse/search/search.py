@@ -10,15 +10,16 @@ accepted. What differs between contacts, palpations and sessions is in `SearchPr
 """
 
 import logging
-from collections.abc import Callable, Collection, Sequence
-from contextlib import suppress
-from dataclasses import replace
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tactorch.config.registry import unknown_choice
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.inverse.errors import ERRORS
 from tactorch.inverse.errors.kept import KeptRims
+from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.shapes import ShapeFit
 from tactorch.inverse.forward.palpation import is_palpation
@@ -35,7 +36,7 @@ from tactorch.inverse.search.model import (
     unexplained,
     with_predictions,
 )
-from tactorch.inverse.search.palpation import PalpationSearch
+from tactorch.inverse.search.palpation import PalpationSearch, at_some_places
 from tactorch.inverse.search.problem import ShapeProblem, is_same_model
 from tactorch.inverse.search.proposals import propose
 from tactorch.inverse.search.sizing import refined_at_contacts
@@ -43,6 +44,8 @@ from tactorch.progress import progress_line
 from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
+# Places of a palpation for a provisional answer, and for a search on part of many.
+_QUICK_PLACES, _FIRST_PLACES = 128, 384
 _MAX_SHAPES = 4
 _MAX_MODELS = 10  # one after the other
 _MANY = 10.0  # contrast beyond which a provisional answer states none
@@ -93,14 +96,57 @@ def find_shapes(
     limit = TimeLimit(settings.max_seconds, stop)
     with progress_line("search for inclusions") as update:
         update("elements at the contacts")
-        problem: SearchProblem
+        path: _Path | None = None
         if is_palpation(recording):
-            problem = PalpationSearch(recording, settings, limit, max_shapes)
+
+            def searched(presses: Recording, **options: Any) -> SearchProblem:
+                return PalpationSearch(presses, settings, limit, max_shapes, **options)
+
+            if start is None:
+                few = at_some_places(recording, _QUICK_PLACES) or recording
+                _announce(searched(few, element="tet4"))
+                if (part := at_some_places(recording, _FIRST_PLACES)) is not None:
+                    path = _accept_models(searched(part), limit, None, update)
+            update("elements at all places")
+            problem = searched(recording)
         else:
             refined = recording if is_same_model(recording) else refined_at_contacts(recording)
             problem = ShapeProblem(refined, settings, limit, kept, errors, max_shapes)
-        model, result = search(problem, limit, start, update)
+            if start is None:
+                _announce(problem)
+        model, result = search(problem, limit, start, update, path)
         return with_predictions(result, model, recording)
+
+
+@dataclass(eq=False)
+class _Path:
+    """The last of the models that a search has accepted, and how it went.
+
+    Attributes:
+        model: The model.
+        history: A record of each accepted model.
+        untried: Proposals from the model that were not fitted.
+        ended: What ended the search early, or None.
+    """
+
+    model: Model
+    history: list[dict[str, Any]]
+    untried: list[Proposal] = field(default_factory=list)
+    ended: StopReason | None = None
+
+    @property
+    def state(self) -> ShapeState:
+        """The model without its predictions."""
+        return ShapeState(self.model.fit.field, self.model.fit.z, self.model.errors)
+
+    @contextmanager
+    def kept(self) -> Iterator[None]:
+        """Leave the last model to who stops the search."""
+        try:
+            yield
+        except CancelledError as error:
+            error.reached = self.state
+            raise
 
 
 def search(
@@ -108,6 +154,7 @@ def search(
     limit: TimeLimit,
     start: ShapeReconstruction | ShapeState | None = None,
     update: Callable[[str], None] = lambda what: None,
+    before: _Path | None = None,
 ) -> tuple[Model, ShapeReconstruction]:
     """Accept models of more evidence until there is none; return the last one, and the result.
 
@@ -116,39 +163,56 @@ def search(
         limit: Limit of the time, see `improve`.
         start: See `find_shapes`.
         update: Called with what is done next.
+        before: Search on a part of the presses, from whose model this one starts.
     """
-    if start is None:
-        _log.info("provisional: %s; the search goes on", _in_words(problem.provisional()))
-    update("first model")
-    model, history = _first(problem, start)
-    untried: list[Proposal] = []
-
-    def step(number: int) -> bool:
-        nonlocal model
-        update(f"model {number}, predictions of proposals")
-        untried[:] = propose(problem, model)[: problem.max_fits]
-        update(f"model {number}")
-        if (accepted := _accept(problem, model, untried)) is None:
-            return False
-        proposal, model = accepted
-        model = problem.precise(model)
-        history.append(record(proposal.what, model.fit))
-        return True
-
-    try:
-        ended = improve(step, _MAX_MODELS, limit)
+    path = _accept_models(problem, limit, start, update, before)
+    with path.kept():
         update("final fit")
-        model = _final(problem, model)
+        path.model = model = _final(problem, path.model)
         update("posterior")
         best, posterior = problem.posterior(model)
         if best is not model:
-            history.append(record("balls as ellipsoids", best.fit))
-        result = _result(problem, best, posterior, history)
-        left = tuple(proposal.what for proposal in untried) if ended else ()
-        return best, replace(result, ended=ended, untried=left)
-    except CancelledError as error:
-        error.reached = ShapeState(model.fit.field, model.fit.z, model.errors)
-        raise
+            path.history.append(record("balls as ellipsoids", best.fit))
+        result = _result(problem, best, posterior, path.history)
+        left = tuple(proposal.what for proposal in path.untried) if path.ended else ()
+        return best, replace(result, ended=path.ended, untried=left)
+
+
+def _accept_models(
+    problem: SearchProblem,
+    limit: TimeLimit,
+    start: ShapeReconstruction | ShapeState | None,
+    update: Callable[[str], None],
+    before: _Path | None = None,
+) -> _Path:
+    """Accept models of more evidence until there is none; see `search`."""
+    update("first model")
+    path = _first(problem, start if before is None else before.state)
+    if before is not None:
+        path.history[:0] = before.history
+        if before.ended:
+            path.untried, path.ended = before.untried, before.ended
+            return path
+
+    def step(number: int) -> bool:
+        update(f"model {number}, predictions of proposals")
+        path.untried[:] = propose(problem, path.model)[: problem.max_fits]
+        update(f"model {number}")
+        if (accepted := _accept(problem, path.model, path.untried)) is None:
+            return False
+        proposal, model = accepted
+        path.model = problem.precise(model)
+        path.history.append(record(proposal.what, path.model.fit))
+        return True
+
+    with path.kept():
+        path.ended = improve(step, _MAX_MODELS, limit)
+    return path
+
+
+def _announce(problem: SearchProblem) -> None:
+    """Log the provisional answer."""
+    _log.info("provisional: %s; the search goes on", _in_words(problem.provisional()))
 
 
 def _in_words(fit: ShapeFit) -> str:
@@ -185,9 +249,7 @@ def _result(
     )  # fmt: skip
 
 
-def _first(
-    problem: SearchProblem, before: ShapeReconstruction | ShapeState | None
-) -> tuple[Model, list[dict[str, Any]]]:
+def _first(problem: SearchProblem, before: ShapeReconstruction | ShapeState | None) -> _Path:
     """Fit the model of an earlier result, or where there is none a uniform body."""
     what, model = "uniform", None
     # A background that varies, found of few presses, would hide the inclusion that more show.
@@ -199,7 +261,7 @@ def _first(
             _log.info("%s fails, and the search starts from a uniform body: %s", start.what, error)
     model = model or problem.uniform()
     _log.info("%s: chi2 %.4g", what, model.fit.chi2)
-    return model, [record(what, model.fit)]
+    return _Path(model, [record(what, model.fit)])
 
 
 def _accept(
