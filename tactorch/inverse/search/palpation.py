@@ -26,7 +26,7 @@ from tactorch.inverse.forward.reduced import ReducedProblem
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.search.base import ROUGH, SearchProblem
 from tactorch.inverse.search.matched import MatchedFilter
-from tactorch.inverse.search.model import MIN_GAIN, Model, less, make_posterior
+from tactorch.inverse.search.model import MIN_GAIN, Model, Start, less, make_posterior
 from tactorch.inverse.search.proposals import backgrounds, changed, further, other_errors
 from tactorch.mesh.geometry import farthest_point_order
 from tactorch.recording import Recording
@@ -90,16 +90,32 @@ class PalpationSearch(SearchProblem):
         self.sites = Sites.of(self.full.body.assembly)
         self._reduced_sites = Sites.of_elements(recording.mesh)
         self.errors = ErrorModel(MeasuredPresses(self.full), ERRORS)
-        self._linearise_about(self.full.evaluate(np.full(self.sites.shape, self.full.contact_mpa)))
+        uniform = self.full.evaluate(np.full(self.sites.shape, self.full.contact_mpa))
+        self._linearise_about(uniform)
         prior = ShapePrior.of(recording.mesh, self.full.contact_mpa)
         self.prior = replace(prior, outside_mm=_OUTSIDE_MM)
         self.min_gain = _MIN_GAIN * len(recording.presses) / len(self.full.indentation.places)
         self.tolerance = ROUGH * self.min_gain / MIN_GAIN
 
     def _linearise_about(self, evaluation: Evaluation) -> None:
-        self.reduced = ReducedProblem(self.full, evaluation)
-        self.matched = MatchedFilter.of(self.reduced, self._are_resolved)
-        self._filters: dict[DataModel, MatchedFilter] = {}
+        """Linearise about an evaluation where this is needed next."""
+        self._about, self._filters = evaluation, dict[DataModel, MatchedFilter]()
+        for known in ("reduced", "matched"):
+            vars(self).pop(known, None)
+
+    @cached_property
+    def reduced(self) -> ReducedProblem:  # type: ignore[override]
+        """The presses linearised about a uniform body, or the last accepted model."""
+        return ReducedProblem(self.full, self._about)
+
+    @cached_property
+    def matched(self) -> MatchedFilter:  # type: ignore[override]
+        """Matched filter of these."""
+        return MatchedFilter.of(self.reduced, self._are_resolved)
+
+    def first(self, start: Start) -> Model:
+        """Fit the first model of a search, about which the reduced model is linearised."""
+        return self.precise(super().first(start))
 
     def precise(self, model: Model) -> Model:
         """Return an accepted model, about which the reduced model is linearised.
