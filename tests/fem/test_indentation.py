@@ -159,6 +159,22 @@ def test_derivatives_by_the_moduli(per_point: bool) -> None:
 
 
 @pytest.mark.parametrize("per_point", [False, True])
+def test_derivatives_by_the_logarithms_of_the_elements_moduli(per_point: bool) -> None:
+    body, supports = block(18.0, 9.0, 3.0)
+    indentation = Indentation(body, supports, places((0.0, 0.0), (1.0, 2.0)))
+    rng = np.random.default_rng(0)
+    shape = body.assembly.weights.shape if per_point else body.assembly.weights.shape[:1]
+    present = indentation.at(0.1 * np.exp(0.3 * rng.standard_normal(shape)))
+    chain = sp.csr_matrix(rng.standard_normal((3, 12)))
+    elements = len(present.youngs)
+    by_moduli = (present.combined_rates(chain) * present.youngs.ravel()).reshape(3, elements, -1)
+    found = present.combined_rates(chain, logarithmic=True)
+    assert found.shape == (3, elements)
+    expected = by_moduli.sum(axis=2)
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("per_point", [False, True])
 def test_a_change_of_a_small_part_is_that_of_the_whole_solved_anew(
     per_point: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -14,6 +14,7 @@ from tactorch.fem.contact import Ball
 from tactorch.fem.indentation import BallPlace, Indentation
 from tactorch.inverse import NuisancePrior, Settings, find_shapes, invert, invert_map
 from tactorch.inverse.data.observations import CorrelatedNoise
+from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.starts import homogeneous
 from tactorch.inverse.forward.palpation import (
     PalpationProblem,
@@ -22,6 +23,7 @@ from tactorch.inverse.forward.palpation import (
 )
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import Model, Proposal
+from tactorch.inverse.search.palpation import at_some_places
 from tactorch.mesh import TetMesh, box_mesh, face_nodes
 from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Recording
 
@@ -172,6 +174,47 @@ def test_shapes_find_the_lump_and_none_where_there_is_none(with_lump: Recording)
     assert inclusion.youngs_mpa > 2.0 * BACKGROUND
     assert inclusion.probability > 0.99
     assert not find_shapes(recording(lump=False, seed=1)).inclusions
+
+
+def test_some_places_are_far_from_each_other(with_lump: Recording) -> None:
+    part = at_some_places(with_lump, 9)
+    assert part is not None
+    assert len(part.presses) == 9 * len(DEPTHS)
+    contacts = np.unique([press.probe.position_mm[:2] for press in part.presses], axis=0)
+    apart = np.linalg.norm(contacts[:, None] - contacts, axis=2) + 100.0 * np.eye(9)
+    assert apart.min() > 5.0  # the lattice of all has 4
+    assert at_some_places(with_lump, 13) is None
+
+
+def test_a_search_on_a_part_of_many_places_comes_first(
+    with_lump: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search = sys.modules[find_shapes.__module__]
+    part = with_lump.select(range(20 * len(DEPTHS)))
+    monkeypatch.setattr(search, "at_some_places", lambda recording, count: part)
+    found = find_shapes(with_lump)
+    records = [record["model"] for record in found.history]
+    assert records[0] == "uniform"
+    assert records[1].startswith("ball at")
+    assert "the model before" in records
+    (inclusion,) = found.inclusions
+    assert np.abs(np.array(inclusion.shape.center_mm) - CENTER)[:2].max() < 0.5
+    assert found.predictions is not None
+    assert len(found.predictions.data) == len(with_lump.presses)
+
+    # A search that is interrupted at the first places ends with their model, fitted to all.
+    propose = search.propose
+
+    def interrupted(problem: SearchProblem, model: Model) -> list[Proposal]:
+        if model.fit.field.parts:
+            raise KeyboardInterrupt
+        return propose(problem, model)
+
+    monkeypatch.setattr(search, "propose", interrupted)
+    ended = find_shapes(with_lump)
+    assert ended.ended is StopReason.INTERRUPTED
+    assert len(ended.inclusions) == 1
+    assert "the model before" in [record["model"] for record in ended.history]
 
 
 def test_nuisance_parameters_are_refused(with_lump: Recording) -> None:

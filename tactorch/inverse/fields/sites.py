@@ -11,6 +11,7 @@ from tactorch.inverse.fields.inclusion import InclusionShape
 from tactorch.mesh import TetMesh
 from tactorch.mesh.quadrature import samples_around
 
+_CENTROID = np.full((1, 4), 0.25)
 _WIDTH = 0.15  # width of a boundary over the cube root of the element's volume
 
 
@@ -31,17 +32,13 @@ class Sites:
     @staticmethod
     def of(assembly: Assembly) -> "Sites":
         """Return the volumes around the quadrature points of a body's elements."""
-        return Sites._of(assembly.discretisation.mesh, assembly.discretisation.element.points)
+        return Sites.around(assembly.discretisation.mesh, assembly.discretisation.element.points)
 
     @staticmethod
-    def of_elements(mesh: TetMesh) -> "Sites":
-        """Return the volumes of the elements of a mesh."""
-        return Sites._of(mesh, np.full((1, 4), 0.25))
-
-    @staticmethod
-    def _of(mesh: TetMesh, rule: Float[np.ndarray, "q 4"]) -> "Sites":
+    def around(mesh: TetMesh, rule: Float[np.ndarray, "q 4"] = _CENTROID) -> "Sites":
+        """Return the volumes around points of each element, or the elements."""
         points = samples_around(rule) @ mesh.points[mesh.tets]
-        width = _WIDTH * np.cbrt(np.repeat(np.abs(mesh.volumes), len(rule)))
+        width = _WIDTH * np.cbrt(np.repeat(mesh.volumes, len(rule)))
         points = points.reshape(mesh.n_tets * len(rule), -1, 3)
         return Sites(points, width, (mesh.n_tets, len(rule)))
 

@@ -21,7 +21,6 @@ from tactorch.inverse.errors import ERRORS
 from tactorch.inverse.errors.kept import KeptRims
 from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.settings import Settings
-from tactorch.inverse.fit.shapes import ShapeFit
 from tactorch.inverse.forward.palpation import is_palpation
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
@@ -98,50 +97,39 @@ def find_shapes(
         update("elements at the contacts")
         path: _Path | None = None
         if is_palpation(recording):
-
-            def searched(presses: Recording, **options: Any) -> SearchProblem:
-                return PalpationSearch(presses, settings, limit, max_shapes, **options)
-
+            options = settings, limit, max_shapes
             if start is None:
                 few = at_some_places(recording, _QUICK_PLACES) or recording
-                _announce(searched(few, element="tet4"))
-                if (part := at_some_places(recording, _FIRST_PLACES)) is not None:
-                    path = _accept_models(searched(part), limit, None, update)
+                _log_provisional(PalpationSearch(few, *options, "tet4"))
+                if part := at_some_places(recording, _FIRST_PLACES):
+                    path = _accept_models(PalpationSearch(part, *options), limit, None, update)
             update("elements at all places")
-            problem = searched(recording)
+            problem: SearchProblem = PalpationSearch(recording, *options)
         else:
             refined = recording if is_same_model(recording) else refined_at_contacts(recording)
             problem = ShapeProblem(refined, settings, limit, kept, errors, max_shapes)
             if start is None:
-                _announce(problem)
+                _log_provisional(problem)
         model, result = search(problem, limit, start, update, path)
         return with_predictions(result, model, recording)
 
 
 @dataclass(eq=False)
 class _Path:
-    """The last of the models that a search has accepted, and how it went.
-
-    Attributes:
-        model: The model.
-        history: A record of each accepted model.
-        untried: Proposals from the model that were not fitted.
-        ended: What ended the search early, or None.
-    """
+    """The last model that a search has accepted, records of all, and what was not tried."""
 
     model: Model
     history: list[dict[str, Any]]
     untried: list[Proposal] = field(default_factory=list)
-    ended: StopReason | None = None
+    ended: StopReason | None = None  # what ended it early
 
     @property
     def state(self) -> ShapeState:
-        """The model without its predictions."""
         return ShapeState(self.model.fit.field, self.model.fit.z, self.model.errors)
 
     @contextmanager
     def kept(self) -> Iterator[None]:
-        """Leave the last model to who stops the search."""
+        """Keep the last model where the search is stopped."""
         try:
             yield
         except CancelledError as error:
@@ -210,21 +198,16 @@ def _accept_models(
     return path
 
 
-def _announce(problem: SearchProblem) -> None:
-    """Log the provisional answer."""
-    _log.info("provisional: %s; the search goes on", _in_words(problem.provisional()))
-
-
-def _in_words(fit: ShapeFit) -> str:
-    if not fit.field.families:
-        return "no lump stands out"
-    (shape,) = fit.field.shapes(fit.z)
-    center = ", ".join(f"{x:.1f}" for x in shape.center_mm)
-    times = f"{shape.contrast:.2g} times" if shape.contrast < _MANY else "many times"
-    return (
-        f"a lump at ({center}) mm, of the volume of a ball of {shape.radius_mm:.1f} mm radius, "
-        f"with {times} the modulus around it"
-    )
+def _log_provisional(problem: SearchProblem) -> None:
+    fit, what = problem.provisional(), "no lump stands out"
+    for shape in fit.field.shapes(fit.z):
+        center = ", ".join(f"{x:.1f}" for x in shape.center_mm)
+        times = f"{shape.contrast:.2g} times" if shape.contrast < _MANY else "many times"
+        what = (
+            f"a lump at ({center}) mm, of the volume of a ball of {shape.radius_mm:.1f} mm radius, "
+            f"with {times} the modulus around it"
+        )
+    _log.info("provisional: %s; the search goes on", what)
 
 
 def _final(problem: SearchProblem, model: Model) -> Model:
