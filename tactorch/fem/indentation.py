@@ -278,14 +278,19 @@ class _FullSolution:
             indentation.last.forget()
         indentation.last = self
         self._kept: list[_Part] | None = [] if size < _KEPT * work_bytes() else None
-        self.compliance = np.empty_like(indentation.unit_compliance)
-        for chunk, fields, _ in self.parts():
-            self.compliance[chunk] = indentation.compliance(chunk, fields)
 
-    def parts(self) -> Iterator[_Part]:
+    @cached_property
+    def compliance(self) -> Float[np.ndarray, "places k k"]:
+        """Compliance of the mesh between the profiles of each place, mm/N."""
+        found = np.empty_like(self._indentation.unit_compliance)
+        for chunk, fields, _ in self.parts():
+            found[chunk] = self._indentation.compliance(chunk, fields)
+        return found
+
+    def parts(self, keep: bool = True) -> Iterator[_Part]:
         """Yield places with their displacements.
 
-        They are kept where the memory suffices, until another body is solved.
+        With `keep` they are kept where the memory suffices, until another body is solved.
         """
         if self._kept:
             yield from self._kept
@@ -294,7 +299,7 @@ class _FullSolution:
         if self._stiffness is None:
             self._stiffness = Stiffness(indentation.body, indentation.supports, self._youngs)
         for part in indentation.solve(self._stiffness, self._profiles):
-            if self._kept is not None:
+            if keep and self._kept is not None:
                 self._kept.append(part)
             yield part
 
@@ -438,7 +443,8 @@ class IndentedBody:
         indentation = self._indentation
         rows, cols = np.triu_indices(len(_FRACTIONS))
         everything = np.arange(len(self._by_element))
-        for part in self._full_solution.parts():
+        # A change of a small part is solved without these displacements.
+        for part in self._full_solution.parts(keep=self._local is None):
             missed = indentation.missed[part.places][:, rows, cols].T[..., None].astype(np.float32)
             softened = indentation.shares[:, part.places].T.toarray() / self._by_element
             if not logarithmic:
