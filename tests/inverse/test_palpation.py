@@ -3,12 +3,13 @@
 import sys
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tactorch.errors import ConfigError
+from tactorch.errors import CancelledError, ConfigError
 from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.fem.contact import Ball
 from tactorch.fem.indentation import BallPlace, Indentation
@@ -23,7 +24,7 @@ from tactorch.inverse.forward.palpation import (
 )
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import Model, Proposal
-from tactorch.inverse.search.palpation import at_some_places
+from tactorch.inverse.search.palpation import PalpationSearch, at_some_places
 from tactorch.mesh import TetMesh, box_mesh, face_nodes
 from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Recording
 
@@ -84,6 +85,20 @@ def recording(lump: bool = True, seed: int = 0, deviation_mm: float = 0.02) -> R
 @pytest.fixture(scope="module")
 def with_lump() -> Recording:
     return recording()
+
+
+@pytest.fixture
+def interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Interrupt each search once it has found an inclusion."""
+    search = sys.modules[find_shapes.__module__]
+    propose = search.propose
+
+    def interrupted(problem: SearchProblem, model: Model) -> list[Proposal]:
+        if model.fit.field.parts:
+            raise KeyboardInterrupt
+        return propose(problem, model)
+
+    monkeypatch.setattr(search, "propose", interrupted)
 
 
 def test_which_recordings_are_palpations(with_lump: Recording) -> None:
@@ -202,19 +217,30 @@ def test_a_search_on_a_part_of_many_places_comes_first(
     assert found.predictions is not None
     assert len(found.predictions.data) == len(with_lump.presses)
 
-    # A search that is interrupted at the first places ends with their model, fitted to all.
-    propose = search.propose
 
-    def interrupted(problem: SearchProblem, model: Model) -> list[Proposal]:
-        if model.fit.field.parts:
-            raise KeyboardInterrupt
-        return propose(problem, model)
-
-    monkeypatch.setattr(search, "propose", interrupted)
+def test_a_search_that_ends_at_the_first_places_keeps_their_model(
+    with_lump: Recording, interrupted: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search = sys.modules[find_shapes.__module__]
+    part = with_lump.select(range(20 * len(DEPTHS)))
+    monkeypatch.setattr(search, "at_some_places", lambda recording, count: part)
     ended = find_shapes(with_lump)
     assert ended.ended is StopReason.INTERRUPTED
     assert len(ended.inclusions) == 1
     assert "the model before" in [record["model"] for record in ended.history]
+    # A stop at the first fit to all places leaves it, too.
+    fit = PalpationSearch.fit
+
+    def stopped(problem: PalpationSearch, *start: Any, **options: Any) -> Model:
+        if len(problem.full.recording.presses) == len(with_lump.presses):
+            raise CancelledError("stopped")
+        return fit(problem, *start, **options)
+
+    monkeypatch.setattr(PalpationSearch, "fit", stopped)
+    with pytest.raises(CancelledError) as error:
+        find_shapes(with_lump)
+    assert error.value.reached is not None
+    assert len(error.value.reached.field.families) == 1
 
 
 def test_nuisance_parameters_are_refused(with_lump: Recording) -> None:
@@ -236,18 +262,7 @@ def test_a_ball_clear_of_the_object_or_pulled_is_refused(with_lump: Recording) -
         _ = problem.contact_mpa
 
 
-def test_ctrl_c_keeps_the_inclusions_found_so_far(
-    with_lump: Recording, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    search = sys.modules[find_shapes.__module__]
-    propose = search.propose
-
-    def interrupted(problem: SearchProblem, model: Model) -> list[Proposal]:
-        if model.fit.field.parts:
-            raise KeyboardInterrupt
-        return propose(problem, model)
-
-    monkeypatch.setattr(search, "propose", interrupted)
+def test_ctrl_c_keeps_the_inclusions_found_so_far(with_lump: Recording, interrupted: None) -> None:
     found = invert(with_lump)
     assert found.stop_reason == "interrupted"
     assert len(found.lumps) == 1

@@ -118,7 +118,7 @@ def _distance_to_rods(
 
 @dataclass(frozen=True, eq=False)
 class MatchedFilter:
-    """Change of the residuals by small balls and rods at the uniform map, for linear elements."""
+    """Change of the residuals by small balls and rods at the map of a reduced model."""
 
     centers: Float[np.ndarray, "balls 3"]
     radii: Float[np.ndarray, " balls"]

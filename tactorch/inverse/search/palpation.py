@@ -49,8 +49,7 @@ def at_some_places(recording: Recording, count: int) -> Recording | None:
     places, first = group_places(poses)
     if len(first) < 2 * count:
         return None
-    points = np.array([poses[i].position_mm for i in first])
-    kept = farthest_point_order(points, count, 0)
+    kept = farthest_point_order(np.array([poses[i].position_mm for i in first]), count, 0)
     return recording.select(np.flatnonzero(np.isin(places, kept)).tolist())
 
 

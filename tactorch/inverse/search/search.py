@@ -11,7 +11,7 @@ accepted. What differs between contacts, palpations and sessions is in `SearchPr
 
 import logging
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -175,7 +175,8 @@ def _accept_models(
 ) -> _Path:
     """Accept models of more evidence until there is none; see `search`."""
     update("first model")
-    path = _first(problem, start if before is None else before.state)
+    with nullcontext() if before is None else before.kept():
+        path = _first(problem, start if before is None else before.state)
     if before is not None:
         path.history[:0] = before.history
         if before.ended:
