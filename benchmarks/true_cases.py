@@ -563,6 +563,7 @@ class Solution:
             **({"rims": [RIM_PER_RADIUS, RIM_GROWTH]} if len(presses.parts) > 1 else {}),
             "presses": plain,
             "misplaced": self.misplaced_mm,
+            **({"shifts": "one for each contact"} if self.misplaced_mm else {}),
             "material": [MATERIAL.name, MATERIAL.poisson, SPRING_N_PER_MM],
         }
         text = json.dumps(definition, sort_keys=True)
@@ -656,10 +657,11 @@ class Solution:
         soft = SoftBody(truth.mesh, law, element="tet10", newton=newton, solver=solver)
         youngs, began = truth.youngs(body.phantom), time.perf_counter()
         coarse, out, search = Discretisation(mesh, ELEMENTS["tet4"]), [], None
+        contacts = PRESSES[self.presses].contacts  # of all parts
         for i, contact in enumerate(presses.contacts):
             actual, shift = contact, np.zeros(3)
             if self.misplaced_mm:
-                shift = _shift(contact, i, self.misplaced_mm)
+                shift = _shift(contact, contacts.index(contact), self.misplaced_mm)
                 actual = contact.shifted(shift)
             if presses.held_face is None and i and contact.face != presses.contacts[i - 1].face:
                 search = None  # other supports: the factorisation is of no use

@@ -5,14 +5,15 @@ indefinite, those of the elements are projected to positive semi-definite ones. 
 tried first; if it fails, the load is applied in steps that shrink and grow.
 """
 
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
 from tactorch.config import Options, option
-from tactorch.errors import ConvergenceError
+from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem.assembly import Assembly, Response
 from tactorch.fem.boundary import CaseSupports
 from tactorch.fem.contact import Contact
@@ -127,6 +128,18 @@ class Newton:
             return result if result.converged else self._load_stepping(result.iterations)
         except ConvergenceError as error:  # of the linear solver: smaller steps do not help
             return EquilibriumResult(start, False, str(error))
+
+    def with_rest_shape(self, points: Float[np.ndarray, "n 3"]) -> "Newton":
+        """Return the search for a body of another rest shape (mm), which shares the solver.
+
+        Raises:
+            ConfigError: an element is inverted.
+        """
+        other = copy(self)
+        other.assembly = replace(self.assembly, points=points)
+        if not np.all(other.assembly.weights > 0):
+            raise ConfigError("points invert an element, or are not finite.")
+        return other
 
     def linearize(self, result: EquilibriumResult, rtol: float = 0.0) -> Linearization:
         """Return the linearisation at an equilibrium, which shares the search's solver.

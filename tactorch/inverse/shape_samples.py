@@ -258,7 +258,7 @@ class _ExactPosterior:
         """Return the posterior with the data, errors and corrections of a result."""
         if not is_same_model(recording):
             recording = refined_at_contacts(recording)
-        problem = ShapeProblem(recording, settings, requested=result.errors)
+        problem = ShapeProblem(recording, settings)
         approximation = result.posterior
         evaluation = _predict(problem, result)
         family = ShapesOnSites(approximation.field, problem.sites)

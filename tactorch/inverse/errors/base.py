@@ -65,14 +65,14 @@ class ErrorSource(ABC):
         note: What a deviation means for the result, and what to check.
         noted: Smallest deviation with a note.
         smallest: Norm of patterns that are left out, in standard deviations.
-        on_request: Whether only a search that is given its name takes it into account.
     """
 
     name: str
     levels: ClassVar[tuple[float, ...]] = ()
     elements = proposal = note = ""
     noted: ClassVar[float] = 1e-9
-    smallest, on_request = 0.0, False
+    smallest: ClassVar[float] = 0.0
+    is_nonlinear: ClassVar[bool] = False  # whether it has `nonlinear_changes`
 
     def least(self, presses: MeasuredPresses) -> float | None:
         """Return the least deviation, that of the simplest model; None where there is no error."""
@@ -85,6 +85,15 @@ class ErrorSource(ABC):
         They are sparse where each changes one press only and there are many. The unit is the
         standard deviation of the white noise.
         """
+
+    def nonlinear_changes(
+        self, presses: MeasuredPresses, amplitudes: Float[np.ndarray, " k"]
+    ) -> dict[int, Float[np.ndarray, " _"]]:
+        """Return the changes of the data of presses, by number, that errors as large make, mm.
+
+        Those of others are linear: the patterns times amplitudes.
+        """
+        return {}
 
     def sentence(self, level: float) -> str:
         """Return the note for a deviation, or nothing."""

@@ -1,6 +1,6 @@
 """The covariance of the data: white noise, and errors that the data have in common."""
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +18,6 @@ class ErrorModel:
     Args:
         presses: The presses.
         errors: Errors that may occur.
-        requested: Names of those that are taken into account on request.
 
     Attributes:
         presses: The presses.
@@ -30,10 +29,8 @@ class ErrorModel:
         self,
         presses: MeasuredPresses,
         errors: Iterable[ErrorSource],
-        requested: Collection[str] = (),
     ) -> None:
-        counted = [error for error in errors if not error.on_request or error.name in requested]
-        least = {error: error.least(presses) for error in counted}
+        least = {error: error.least(presses) for error in errors}
         self.presses = presses
         self.errors = tuple(error for error, level in least.items() if level is not None)
         self.least: Levels = {error.name: level for error, level in least.items() if level}
@@ -64,6 +61,25 @@ class ErrorModel:
             self._data[key] = data
         return self._data[key]
 
+    def remainders(self, levels: Levels, evaluation: Evaluation) -> list[Float[np.ndarray, " _"]]:
+        """Return what the most likely errors change of the data beyond their patterns, mm."""
+        presses, data = replace(self.presses, linearised=evaluation), self.data(levels)
+        white = evaluation.with_data(replace(presses.problem.data, correlated=None)).residuals
+        weights, ends = data.transposed(data.whiten(white)), data.begins[1:]
+        total = [np.zeros(count) for count in data.counts]
+        for error in self.errors:
+            if error.is_nonlinear and (level := levels.get(error.name)):
+                amplitudes = -(level**2) * (self._patterns[error.name].T @ weights)
+                linear = np.split(self._patterns[error.name] @ amplitudes / data.scale, ends)
+                for i, change in error.nonlinear_changes(presses, amplitudes).items():
+                    total[i] += change - linear[i]
+        return total
+
+    def differs(self, levels: Levels, other: Levels) -> bool:
+        """Return whether deviations of errors with remainders differ."""
+        names = [error.name for error in self.errors if error.is_nonlinear]
+        return any(levels.get(name) != other.get(name) for name in names)
+
     def corrected(self, corrections_mm: Sequence[Float[np.ndarray, " _"]]) -> "ErrorModel":
         """Return the errors of data with other corrections of the discretisation, mm."""
         presses = self.presses
@@ -72,7 +88,7 @@ class ErrorModel:
         data = presses.problem.data.shifted([old - new for old, new in pairs])
         problem = presses.problem.with_data(data)
         presses = replace(presses, problem=problem, corrections_mm=corrections_mm)
-        other = ErrorModel(presses, self.errors, [error.name for error in self.errors])
+        other = ErrorModel(presses, self.errors)
         other._patterns = self._patterns | other._patterns
         return other
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -284,6 +284,21 @@ class Evaluation:
             return columns * scale
 
         return map_cases(work, len(self.sensitivities))
+
+    def at_rest_shape(
+        self, number: int, points: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, " data"]:
+        """Return the predicted data of a press (mm or N) for another rest shape (mm).
+
+        Raises:
+            ConfigError: an element is inverted.
+            ConvergenceError: the press has no equilibrium.
+        """
+        press = self._presses[number]
+        newton = press.newton.with_rest_shape(points)
+        equilibrium = newton.run(press.equilibrium.displacement).require()
+        moved = replace(press, newton=newton, equilibrium=equilibrium)
+        return moved.predicted(self.data.observations[number])
 
     def load_response(self, number: int, changes: Sequence[Float[np.ndarray, "n 3"]]) -> Columns:
         """Return the changes of the data of a press by changes of its nodal forces, N.

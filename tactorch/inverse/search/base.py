@@ -283,5 +283,5 @@ class SearchProblem(ABC):
     def data(self, errors: Levels) -> DataModel:
         """Return the data with these errors, about a uniform body where there is no model yet."""
         if self.errors.lacks(errors):
-            self._linearise(self._uniform)
+            self._linearise(replace(self._uniform, errors=errors))
         return self.errors.data(errors)

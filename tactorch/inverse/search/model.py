@@ -27,6 +27,9 @@ _log = logging.getLogger(__name__)
 # Gain of the log-evidence for a model that is accepted: strong evidence by R. E. Kass and A. E.
 # Raftery, "Bayes factors", J. Am. Stat. Assoc. 90 (1995), 773-795.
 MIN_GAIN = 3.0
+# Mean squared residual beyond which the signal that a model does not explain exceeds the noise: the
+# error of the discretisation does not matter yet, and what one proposal may explain is hidden.
+MAX_ROUGH_CHI2 = 3.0
 DEGREES = (2, 4)  # of smooth backgrounds
 # Smallest linearised reduction of the misfit that is worth a fit: the best of n independent ones
 # reduces that of pure noise by about log n, which is 6.7 for the balls of the matched filter.

@@ -1,7 +1,7 @@
 """The presses of contacts with known forces: quadratic elements, corrected by finer meshes."""
 
 import logging
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from tactorch.inverse.errors import ERRORS, ErrorModel, MeasuredPresses
 from tactorch.inverse.errors.kept import KeptRims
 from tactorch.inverse.fields import ShapePrior, Sites
 from tactorch.inverse.fit.settings import Settings
-from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites
+from tactorch.inverse.fit.shapes import ShapesOnSites
 from tactorch.inverse.fit.starts import uniform_fit
 from tactorch.inverse.forward.problem import InverseProblem
 from tactorch.inverse.forward.reduced import ReducedProblem
@@ -24,7 +24,7 @@ from tactorch.inverse.search.base import FINE, SearchProblem
 from tactorch.inverse.search.correction import Correction
 from tactorch.inverse.search.final_posterior import final_posterior
 from tactorch.inverse.search.matched import MatchedFilter
-from tactorch.inverse.search.model import Model, Start
+from tactorch.inverse.search.model import MAX_ROUGH_CHI2, Model, Start
 from tactorch.inverse.search.proposals import (
     backgrounds,
     changed,
@@ -40,9 +40,6 @@ _log = logging.getLogger(__name__)
 # Error of the discretisation that remains after its correction, over the displacements. It is the
 # same in all presses of a contact.
 _DISCRETISATION = 1e-3
-# Mean squared residual of models that are corrected during the search: where the signal that is
-# not explained exceeds the noise, the error of the discretisation does not matter yet.
-_MAX_ROUGH_CHI2 = 3.0
 _SAME_MODEL = 3.0  # change of a parameter that a correction outlasts, in standard deviations
 _DERIVATIVE_RTOL = 2e-3  # of the solves for derivatives: far below the curvature of the objective
 _RTOL = 1e-5  # of equilibria: errors of data below a thousandth of their deviation
@@ -56,7 +53,6 @@ class ShapeProblem(SearchProblem):
         settings: Noise, solver, bounds and equilibrium search are used.
         stop: See `SearchProblem`.
         kept: Errors at rims of an earlier search on fewer presses; those of others are added.
-        requested: Names of errors that are taken into account on request.
         max_shapes: Largest number of inclusions.
 
     Attributes:
@@ -71,7 +67,6 @@ class ShapeProblem(SearchProblem):
         settings: Settings,
         stop: Callable[[], bool] = lambda: False,
         kept: KeptRims | None = None,
-        requested: Collection[str] = (),
         max_shapes: int = 0,
     ) -> None:
         super().__init__(stop, max_shapes)
@@ -106,8 +101,8 @@ class ShapeProblem(SearchProblem):
                 at_edge=correction.has_singular_ends,
                 kept=correction.kept,
             )  # fmt: skip
-        self.errors = ErrorModel(presses, ERRORS, requested)
-        self._corrected_at: ShapeFit | None = None
+        self.errors = ErrorModel(presses, ERRORS)
+        self._corrected_at: Model | None = None
         youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
         self.reduced = ReducedProblem.about_uniform(self.linear, youngs)
         self.matched = MatchedFilter.of(self.reduced)
@@ -125,7 +120,7 @@ class ShapeProblem(SearchProblem):
             ConvergenceError: it has no equilibrium under the recorded forces.
         """
         model = self.fit(start, self._linearise(start))
-        return self.corrected(model) if self._has_contacts else model
+        return self.corrected(model) if self._has_contacts else self._linearised(model)
 
     def _linearise(self, start: Start) -> list[Float[np.ndarray, "nodes 3"]]:
         """Compute the effects of the errors about a model, and return its displacements (mm)."""
@@ -134,7 +129,7 @@ class ShapeProblem(SearchProblem):
         coarse = self.linear.evaluate(youngs)
         self.errors.linearise(coarse, "linear")
         displacements = [extend(u) for u in coarse.displacements]
-        if not (self._has_contacts or any(e.elements == "quadratic" for e in self.errors.errors)):
+        if not self.errors.lacks(start.errors):
             return displacements
         youngs = ShapesOnSites(start.field, self.sites).at(start.z).youngs
         evaluation = self.full.evaluate(youngs, starts=displacements)
@@ -148,14 +143,25 @@ class ShapeProblem(SearchProblem):
         a background that varies. A model that leaves much more than the noise unexplained is not
         corrected yet, unless the noise may be less than the error of the discretisation.
         """
-        is_rough = model.fit.chi2 > _MAX_ROUGH_CHI2 and not self._floored
-        if self._correction is None or is_rough or self._is_corrected(model.fit):
+        if self._is_corrected(model):
             return model
+        is_rough = model.fit.chi2 > MAX_ROUGH_CHI2 and not self._floored
+        if self._correction is None or is_rough:
+            return self._linearised(model)
         return self.corrected(model)
+
+    def _linearised(self, model: Model) -> Model:
+        """Return the model with effects of the errors that are computed about it."""
+        changing = [error.name for error in self.errors.errors if error.elements == "quadratic"]
+        if changing:
+            self.errors.linearise(model.evaluation, "quadratic")
+        if any(model.errors.get(name) for name in changing):
+            return self._fit_further(model, "linearised", None)
+        return model
 
     def final(self, model: Model) -> Model:
         """Return the model fitted closely, with predictions corrected for the discretisation."""
-        if self._correction is not None and not self._is_corrected(model.fit):
+        if self._correction is not None and not self._is_corrected(model):
             corrected = self.corrected(model, FINE)
             if corrected is not model:
                 return corrected
@@ -165,13 +171,15 @@ class ShapeProblem(SearchProblem):
         """Return the posterior, of balls that may be ellipsoids; see `final_posterior`."""
         return final_posterior(self, model)
 
-    def _is_corrected(self, fit: ShapeFit) -> bool:
+    def _is_corrected(self, model: Model) -> bool:
         """Whether the last correction was computed at nearly the same parameters."""
-        last = self._corrected_at
-        if last is None or (last.field is not fit.field):
+        last, fit = self._corrected_at, model.fit
+        if last is None or last.fit.field is not fit.field:
+            return False
+        if self.errors.differs(last.errors, model.errors):
             return False
         deviations = np.sqrt(np.diag(fit.covariance))
-        return bool((np.abs(fit.z - last.z) <= _SAME_MODEL * deviations).all())
+        return bool((np.abs(fit.z - last.fit.z) <= _SAME_MODEL * deviations).all())
 
     def corrected(self, model: Model, tolerance: float | None = None) -> Model:
         """Return the model fitted to data that are shifted by the error of the discretisation.
@@ -183,11 +191,13 @@ class ShapeProblem(SearchProblem):
         before = self.full, self.errors
         try:
             offsets = self._correction.offsets(model.fit, model.evaluation, self._check)
-            self.errors = self.errors.corrected(offsets)
             self.errors.linearise(model.evaluation, "quadratic")
+            further = self.errors.remainders(model.errors, model.evaluation)
+            pairs = zip(offsets, further, strict=True)
+            self.errors = self.errors.corrected([one + other for one, other in pairs])
             self.full = self.errors.presses.problem
             corrected = self._fit_further(model, "corrected", tolerance)
-            self._corrected_at = model.fit
+            self._corrected_at = model
             return corrected
         except (ConfigError, ConvergenceError) as error:
             self.full, self.errors = before

@@ -11,6 +11,7 @@ from tactorch.inverse.fields.family import families_beyond
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import (
     DEGREES,
+    MAX_ROUGH_CHI2,
     MIN_CANDIDATE_GAIN,
     Model,
     Proposal,
@@ -38,7 +39,11 @@ def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
     an inclusion to large errors of the forces that explain as much. A model with other errors
     beside a change of the map has to be better than the present map with these errors.
     """
-    fit, proposals = model.fit, _fitted(problem, model)
+    fit = model.fit
+    starts = [start for source in problem.proposals for start in source(problem, model)]
+    proposals = _fitted(problem, model, starts)
+    if min((p.trial.chi2 for p in proposals), default=0.0) > MAX_ROUGH_CHI2:
+        proposals += _fitted(problem, model, _pairs(problem, model, proposals))
     same_map = {_key(p.errors): p for p in proposals if p.field is fit.field}
     better: list[Proposal] = []
     for proposal in proposals:
@@ -60,15 +65,34 @@ def _key(errors: Levels) -> frozenset[tuple[str, float]]:
     return frozenset(errors.items())
 
 
-def _fitted(problem: SearchProblem, model: Model) -> list[Proposal]:
-    """Return all proposals fitted with the reduced model, several at once.
+def _pairs(problem: SearchProblem, model: Model, proposals: list[Proposal]) -> list[Start]:
+    """Return the best inclusion and the best background with each of the other errors.
+
+    An inclusion that explains little while contacts are misplaced, or forces wrong, may explain the
+    rest of what they do not.
+    """
+    fit, weights = model.fit, noise_weights(problem.groups, model.fit.residuals)
+    best = sorted(proposals, key=lambda p: -weighted_gain(p.trial, fit, weights))
+    errors = [p for p in best if p.field is fit.field and problem.gain(p.trial, fit) > 0.0]
+    maps = [p for p in best if p.field is not fit.field and p.errors == model.errors]
+    count = len(fit.field.families)
+    kinds = [[p for p in maps if (len(p.field.families) > count) is adds] for adds in (True, False)]
+    return [
+        Start(f"{kind[0].what}, {error.what}", kind[0].field, kind[0].z, error.errors)
+        for kind in filter(None, kinds)
+        for error in errors
+    ]
+
+
+def _fitted(problem: SearchProblem, model: Model, starts: Sequence[Start]) -> list[Proposal]:
+    """Return proposals fitted with the reduced model, several at once.
 
     Those with a further inclusion are fitted one after the other for each errors of the data, as a
     start inside a ball that was fitted already would lead to it again.
     """
     offsets, count = problem.offsets(model), len(model.fit.field.families)
     chains: dict[object, list[Start]] = {}
-    for start in (start for source in problem.proposals for start in source(problem, model)):
+    for start in starts:
         adds = len(start.field.families) > count
         chains.setdefault(_key(start.errors) if adds else start.what, []).append(start)
 

@@ -10,14 +10,12 @@ accepted. What differs between contacts, palpations and sessions is in `SearchPr
 """
 
 import logging
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from tactorch.config.registry import unknown_choice
-from tactorch.errors import CancelledError, ConfigError, ConvergenceError
-from tactorch.inverse.errors import ERRORS
+from tactorch.errors import CancelledError, ConvergenceError
 from tactorch.inverse.errors.kept import KeptRims
 from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.settings import Settings
@@ -58,7 +56,6 @@ def find_shapes(
     start: ShapeReconstruction | ShapeState | None = None,
     stop: Callable[[], bool] = lambda: False,
     kept: KeptRims | None = None,
-    errors: Collection[str] = (),
 ) -> ShapeReconstruction:
     """Find the inclusions that the presses determine, with the number that the evidence supports.
 
@@ -79,8 +76,6 @@ def find_shapes(
             whose `reached` is the last accepted model, if there is one.
         kept: What searches on growing presses of an object share: errors at the rims of contacts,
             which are computed for contacts that it does not have.
-        errors: Names of errors that are taken into account on request: "shift", of the contacts
-            along the surface.
 
     Raises:
         CancelledError: see `stop`.
@@ -89,9 +84,6 @@ def find_shapes(
             elements have none where quadratic ones have.
     """
     settings = settings or Settings()
-    known = [error.name for error in ERRORS]
-    for name in set(errors) - set(known):
-        raise ConfigError(unknown_choice("errors", name, known))
     limit = TimeLimit(settings.max_seconds, stop)
     with progress_line("search for inclusions") as update:
         update("elements at the contacts")
@@ -107,7 +99,7 @@ def find_shapes(
             problem: SearchProblem = PalpationSearch(recording, *options)
         else:
             refined = recording if is_same_model(recording) else refined_at_contacts(recording)
-            problem = ShapeProblem(refined, settings, limit, kept, errors, max_shapes)
+            problem = ShapeProblem(refined, settings, limit, kept, max_shapes)
             if start is None:
                 _log_provisional(problem)
         model, result = search(problem, limit, start, update, path)
@@ -126,6 +118,14 @@ class _Path:
     @property
     def state(self) -> ShapeState:
         return ShapeState(self.model.fit.field, self.model.fit.z, self.model.errors)
+
+    def had(self, proposal: Proposal) -> bool:
+        """Return whether a proposal adds an inclusion that was accepted before, and removed.
+
+        Errors that are linearised about each model would add and remove it in turn.
+        """
+        adds = len(proposal.field.families) > len(self.model.fit.field.families)
+        return adds and proposal.what in [entry["model"] for entry in self.history]
 
     @contextmanager
     def kept(self) -> Iterator[None]:
@@ -185,7 +185,8 @@ def _accept_models(
 
     def step(number: int) -> bool:
         update(f"model {number}, predictions of proposals")
-        path.untried[:] = propose(problem, path.model)[: problem.max_fits]
+        proposals = [p for p in propose(problem, path.model) if not path.had(p)]
+        path.untried[:] = proposals[: problem.max_fits]
         update(f"model {number}")
         if (accepted := _accept(problem, path.model, path.untried)) is None:
             return False
