@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from tactorch.fem import Sensitivity, SoftBody, Supports, make_material
+from tactorch.fem import Linearization, Sensitivity, SoftBody, Supports, make_material
 from tactorch.fem.boundary import pressure_forces
+from tactorch.linalg import SharedLease
 from tactorch.mesh import box_mesh, face_nodes
 
 
@@ -42,3 +43,32 @@ def test_without_a_factorisation_the_tangent_is_factored(state):
     linearization.lease.transfer_factorization()
     found = linearization.displacement_change(youngs)
     np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
+
+
+def test_many_iterations_are_replaced_by_a_factorisation_of_each_tangent(state):
+    search, equilibrium, _youngs = state
+    lease = SharedLease(search._pool, single_precision=True)
+    loads = np.random.default_rng(0).normal(size=(8, *equilibrium.displacement.shape))
+    loads[:, search.supports.fixed] = 0.0
+
+    def near(share: float) -> Linearization:
+        moved = search.run(share * equilibrium.displacement).require()
+        other = search.linearize(moved, 1e-3)
+        other.lease, other.tangent = lease, other.tangent * (1.0 + share)
+        return other
+
+    first, second, third = near(0.0), near(0.1), near(0.2)
+    first.force_response(loads)
+    with lease.hold() as held:
+        if not held.single_precision:
+            pytest.skip("no solver in single precision")
+        assert held.factored is first.tangent
+    second.force_response(loads)
+    with lease.hold() as held:
+        assert held.factored is first.tangent  # shared, as nothing is known of the iterations yet
+        assert held.iterations > 0
+        held.iterations = 10
+    third.force_response(loads)
+    with lease.hold() as held:
+        assert held.factored is third.tangent
+        assert held.iterations == 10  # that of other matrices

@@ -158,6 +158,7 @@ def test_an_inclusion_under_misplaced_contacts_is_proposed_with_their_shifts() -
     problem = ShapeProblem(recording, Settings(), max_shapes=1)
     found = {p.what: p.trial.chi2 for p in propose(problem, problem.uniform())}
     best = min(found, key=found.__getitem__)
-    assert "ball" in best and "misplaced" in best
+    assert "ball" in best
+    assert "misplaced" in best
     apart = [chi2 for what, chi2 in found.items() if ("ball" in what) != ("misplaced" in what)]
     assert found[best] < 0.7 * min(apart)

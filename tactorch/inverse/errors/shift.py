@@ -21,6 +21,7 @@ from tactorch.mesh.tractions import loaded_triangles
 from tactorch.recording import Press
 
 _log = logging.getLogger(__name__)
+_RTOL = 1e-2  # relative residual of the solves
 _STEP = 1e-4  # of the central difference, over the contact's radius
 # Components of a direction along the normals of faces: from the first one on they are displaced
 # with the body, and a contact ends at an edge to one of the second.
@@ -116,7 +117,8 @@ def _changes(presses: MeasuredPresses, number: int, along: Float[np.ndarray, "k 
 
     loads = [(unbalanced(-_STEP * d) - unbalanced(_STEP * d)) / (2.0 * _STEP) for d in along]
     scale = presses.problem.data.observations[number].scale[:, None]
-    return evaluation.response_to_loads(number, np.reshape(loads, (len(along), *u.shape))) * scale
+    fields = np.reshape(loads, (len(along), *u.shape))
+    return evaluation.response_to_loads(number, fields, _RTOL) * scale
 
 
 def _moved(mesh: TetMesh, press: Press, shift: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "n 3"]:

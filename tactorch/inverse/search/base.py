@@ -193,8 +193,11 @@ class SearchProblem(ABC):
             return falls_short(fit, OPTIMISM * fall, model.fit, self.groups, margin)
 
         family = ShapesOnSites(start.field, self.sites)
-        z = np.clip(start.z, *family.limits)
-        evaluation = problem.evaluate(family.at(z).youngs, starts=model.evaluation.displacements)
+        if start.field is model.fit.field:  # with other errors of the data
+            z, evaluation = model.fit.z, model.evaluation.with_data(problem.data)
+        else:
+            z, starts = np.clip(start.z, *family.limits), model.evaluation.displacements
+            evaluation = problem.evaluate(family.at(z).youngs, starts=starts)
         first = Model(self._coarse_fit(start, z, evaluation), evaluation, start.errors)
         if is_worse(first.fit, first.fit.predicted_fall):
             return first
@@ -218,13 +221,19 @@ class SearchProblem(ABC):
         return self.fit(start, None, tolerance, evaluation=model.evaluation)
 
     def displacements(
-        self, model: Model, z: Float[np.ndarray, " size"]
+        self,
+        model: Model,
+        z: Float[np.ndarray, " size"],
+        start: tuple[Float[np.ndarray, " size"], Evaluation] | None = None,
     ) -> list[Float[np.ndarray, "nodes 3"]]:
-        """Return the displacements (mm) of a model with other parameters, linearised about it."""
+        """Return the displacements (mm) of a model with other parameters, linearised about it.
+
+        `start` are parameters nearer to these and their evaluation.
+        """
         changes = ShapesOnSites(model.fit.field, self.sites).at(model.fit.z).changes
         _, fields = model.evaluation.linear_response(changes)
-        step = z - model.fit.z
-        return model.evaluation.moved([np.tensordot(step, field, 1) for field in fields])
+        before, evaluation = start or (model.fit.z, model.evaluation)
+        return evaluation.moved([np.tensordot(z - before, field, 1) for field in fields])
 
     def try_model(self, start: Start, offsets: list[np.ndarray]) -> tuple[Evidence, np.ndarray]:
         """Return the evidence and the parameters of a fit with the reduced model.

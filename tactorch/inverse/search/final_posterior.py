@@ -127,10 +127,8 @@ def _one_side(
         z = np.clip(field.moved(point.z, step), *limits)
         if sign * float(direction @ (z - point.z)) < _MIN_STEP:
             return  # at a bound
-        start = Start("ridge", field, z, model.errors)
         try:
-            predicted = problem.displacements(model, z)
-            model = problem.fit(start, predicted, tolerance=_RIDGE_TOLERANCE, held=direction)
+            model = _fit_across(problem, model, z, direction)
         except ConvergenceError:
             return
         before, point = point, _point(model, direction, inflation)
@@ -140,6 +138,28 @@ def _one_side(
         lowest = min(lowest, point.height)
         if point.height - lowest > _MAX_RISE:
             return
+
+
+def _fit_across(
+    problem: SearchProblem,
+    model: Model,
+    z: Float[np.ndarray, " size"],
+    direction: Float[np.ndarray, " size"],
+) -> Model:
+    """Return the model fitted from other parameters, which remain along a direction.
+
+    The first step is by the derivatives of the model, those of a point of the ridge nearby.
+    """
+    fit, family = model.fit, ShapesOnSites(model.fit.field, problem.sites)
+    presses = problem.full.with_data(model.evaluation.data)
+    predicted = problem.displacements(model, z)
+    evaluation = presses.evaluate(family.at(z).youngs, starts=predicted)
+    optimum = np.clip(
+        RidgePoint.of(z, evaluation.residuals, fit.jacobian, direction).z, *family.limits
+    )
+    predicted = problem.displacements(model, optimum, (z, evaluation))
+    start = Start("ridge", fit.field, optimum, model.errors)
+    return problem.fit(start, predicted, tolerance=_RIDGE_TOLERANCE, held=direction)
 
 
 def _point(model: Model, direction: Float[np.ndarray, " size"], inflation: float) -> RidgePoint:

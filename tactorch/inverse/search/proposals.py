@@ -29,6 +29,7 @@ from tactorch.linalg import map_cases
 _log = logging.getLogger(__name__)
 _STARTS = 3  # fits of each further inclusion
 _LAYERS = 8  # largest wave number of layers: half a wave is an eighth of the body
+_MUCH_LESS = 0.5  # misfit of a pair of changes, over that of the best one
 _SAME = 2.0  # distance of centres, in radii, below which two starts are of the same ball: touching
 
 
@@ -42,8 +43,10 @@ def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
     fit = model.fit
     starts = [start for source in problem.proposals for start in source(problem, model)]
     proposals = _fitted(problem, model, starts)
-    if min((p.trial.chi2 for p in proposals), default=0.0) > MAX_ROUGH_CHI2:
-        proposals += _fitted(problem, model, _pairs(problem, model, proposals))
+    least_chi2 = min((p.trial.chi2 for p in proposals), default=0.0)
+    if least_chi2 > MAX_ROUGH_CHI2:
+        pairs = _fitted(problem, model, _pairs(problem, model, proposals))
+        proposals += [pair for pair in pairs if pair.trial.chi2 < _MUCH_LESS * least_chi2]
     same_map = {_key(p.errors): p for p in proposals if p.field is fit.field}
     better: list[Proposal] = []
     for proposal in proposals:
