@@ -25,9 +25,9 @@ _MAX_ITERATIONS = 12  # of conjugate gradients
 # Right-hand sides for which a factorisation in single precision costs less than the iterations that
 # it saves.
 _MIN_COLUMNS = 4
-# Products of single columns that cost as much as a factorisation in single precision: 53 were
-# measured for quadratic elements with 69,000 unknowns.
-_FACTOR_COLUMNS = 50
+# Iterations of single columns that cost more than a factorisation in single precision: 65 cost as
+# much for quadratic elements with 69,000 unknowns.
+_FACTOR_COLUMNS = 75
 _UNSTABLE = (
     "The equilibrium is unstable (its tangent is not positive definite), so no derivative exists "
     "there; lower the load."

@@ -63,9 +63,8 @@ def seen(contact: tuple[float, float], shift: np.ndarray, youngs: np.ndarray) ->
     return transfer(problem.evaluate(youngs).displacements[0])
 
 
-@pytest.mark.parametrize("contact", [(5.0, 5.0), (3.0, 5.0)])
-def test_patterns_are_changes_by_a_displaced_sensor(contact: tuple[float, float]) -> None:
-    # In the second case the disc ends 0.5 mm from a side.
+def test_patterns_are_changes_by_a_displaced_sensor() -> None:
+    contact = 3.0, 5.0  # the disc ends 0.5 mm from a side
     youngs, recording = with_ball(), pressed(contact)
     problem = InverseProblem(recording, element="tet10")
     evaluation = problem.evaluate(youngs)

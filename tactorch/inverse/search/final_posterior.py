@@ -158,6 +158,7 @@ def _fit_across(
         RidgePoint.of(z, evaluation.residuals, fit.jacobian, direction).z, *family.limits
     )
     predicted = problem.displacements(model, optimum, (z, evaluation))
+    del evaluation  # the largest arrays
     start = Start("ridge", fit.field, optimum, model.errors)
     return problem.fit(start, predicted, tolerance=_RIDGE_TOLERANCE, held=direction)
 
