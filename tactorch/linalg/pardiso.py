@@ -23,9 +23,6 @@ _PATH = "PYPARDISO_MKL_RT"
 _CHOLESKY = 2
 _ANALYSE, _FACTOR, _SOLVE, _RELEASE = 11, 22, 33, -1
 _NOT_POSITIVE_DEFINITE = -4
-# Below this size threads gain little, and their barriers cost tens of milliseconds a call as soon
-# as another process wants a core.
-_MIN_PARALLEL_SIZE = 15_000
 _ERRORS = {-1: "inconsistent input", -2: "not enough memory", -3: "reordering failed",
            -8: "32-bit index overflow"}  # fmt: skip
 
@@ -108,13 +105,13 @@ class PardisoSolver(Solver):
         self._finalizer = weakref.finalize(self, _call, *release)
 
     def _run(self, phase: int, *arrays: np.ndarray) -> int:
-        small = self.pattern.size < _MIN_PARALLEL_SIZE
-        previous = set_local_threads(1) if small else 0
+        # MKL fails where threads of one number analyse a matrix and of another one factor it, as
+        # load cases that take the solver from a pool may. They use the cores side by side.
+        previous = set_local_threads(1)
         try:
             code = _call(self._pt, self._iparm, phase, self.pattern, *arrays)
         finally:
-            if small:
-                set_local_threads(previous)
+            set_local_threads(previous)
         if code not in (0, _NOT_POSITIVE_DEFINITE):
             raise TactorchError(
                 f"solver=pardiso failed with error {code} ({_ERRORS.get(code, 'see MKL')}) at "
