@@ -69,7 +69,7 @@ def single_thread() -> Iterator[None]:
     import torch
     from threadpoolctl import threadpool_limits
 
-    from tactorch.linalg import limit_workers, single_threaded
+    from tactorch.linalg import limit_workers
 
     threads, compiled = torch.get_num_threads(), numba.get_num_threads()
     with ExitStack() as stack:
@@ -81,6 +81,5 @@ def single_thread() -> Iterator[None]:
         torch.set_num_threads(1)
         numba.set_num_threads(1)
         stack.enter_context(threadpool_limits(1))
-        stack.enter_context(single_threaded())
         stack.enter_context(limit_workers(1))
         yield

@@ -2,7 +2,7 @@
 
 from tactorch.linalg.conjugate_gradients import conjugate_gradients
 from tactorch.linalg.dense import DenseCholesky
-from tactorch.linalg.parallel import limit_workers, map_cases, single_threaded
+from tactorch.linalg.parallel import limit_workers, map_cases
 from tactorch.linalg.pattern import SymmetricPattern
 from tactorch.linalg.pool import SharedLease, SolverPool
 from tactorch.linalg.solver import (
@@ -28,5 +28,4 @@ __all__ = [
     "conjugate_gradients",
     "limit_workers",
     "map_cases",
-    "single_threaded",
 ]

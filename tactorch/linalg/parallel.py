@@ -7,8 +7,6 @@ from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from typing import TypeVar
 
-from tactorch.linalg import pardiso
-
 T = TypeVar("T")
 _max_workers: ContextVar[int | None] = ContextVar("tactorch_max_workers", default=None)
 
@@ -31,19 +29,6 @@ def limit_workers(count: int) -> Iterator[None]:
         _max_workers.reset(token)
 
 
-@contextmanager
-def single_threaded() -> Iterator[None]:
-    """Keep MKL on one thread in the calling thread, so that load cases run in parallel."""
-    if not pardiso.Pardiso.available():
-        yield
-        return
-    previous = pardiso.set_local_threads(1)
-    try:
-        yield
-    finally:
-        pardiso.set_local_threads(previous)
-
-
 def map_cases(work: Callable[[int], T], count: int) -> list[T]:
     """Run `work(case)` for all cases in threads, and return the results in order.
 
@@ -56,7 +41,7 @@ def map_cases(work: Callable[[int], T], count: int) -> list[T]:
         return list(map(work, range(count)))
 
     def run(i: int) -> T:
-        with single_threaded(), limit_workers(available // workers):
+        with limit_workers(available // workers):
             return work(i)
 
     contexts = [copy_context() for _ in range(count)]

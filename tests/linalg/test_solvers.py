@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from tactorch.linalg import analyse, available_solvers, single_threaded
+from tactorch.linalg import analyse, available_solvers
 from tactorch.linalg.solver import IndefiniteError
 
 BACKENDS = available_solvers()
@@ -121,11 +121,10 @@ def test_threads_side_by_side_agree_with_one_after_another(backend, lattice):
     rhs = np.random.default_rng(1).standard_normal((systems[0].pattern.size, 3))
 
     def work(i: int, out: dict[int, np.ndarray]) -> None:
-        with single_threaded():
-            solver = analyse(systems[i].pattern, backend)
-            for _ in range(5):
-                assert solver.factor(systems[i].values)
-                out[i] = solver.solve(rhs)
+        solver = analyse(systems[i].pattern, backend)
+        for _ in range(5):
+            assert solver.factor(systems[i].values)
+            out[i] = solver.solve(rhs)
 
     alone: dict[int, np.ndarray] = {}
     for i in range(4):
