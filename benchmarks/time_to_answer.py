@@ -190,5 +190,4 @@ class Stages(logging.Handler):
 
 
 if __name__ == "__main__":
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
     main()

@@ -5,7 +5,7 @@ serves every derivative: the adjoint and the directional derivative take one sol
 S du/de one solve per observed degree of freedom (eq. 10 to 14 of the paper).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -48,6 +48,8 @@ class Linearization:
     # Where positive: solutions are iterative, to this relative residual, preconditioned by the
     # factorisation of a nearby tangent that the lease has.
     rtol: float = 0.0
+    # Gives a tangent amid those of all load cases that share the lease, if there is one.
+    common: Callable[[], Float[np.ndarray, " nnz"] | None] = lambda: None
 
     def factor(self) -> None:
         """Factor K, unless this is done; ConvergenceError if it is found not positive definite.
@@ -90,7 +92,7 @@ class Linearization:
                 raise ConvergenceError(_UNSTABLE) from error
 
     def _renew(self, lease: Lease, columns: int) -> None:
-        """Factor K in single precision, once for all load cases at these moduli.
+        """Factor a tangent in single precision, once for all load cases at these moduli.
 
         It preconditions their solutions, and later searches at similar moduli. Where they take so
         many iterations that factorisations cost less, the tangent of each case is factored.
@@ -98,7 +100,10 @@ class Linearization:
         if not (lease.single_precision and lease.direct) or lease.factored is self.tangent:
             return
         iterations = columns * (lease.iterations - 1)
-        if lease.about is not self.youngs or iterations > _FACTOR_COLUMNS:
+        if lease.about is not self.youngs:
+            common = self.common()
+            lease.factor(self.tangent if common is None else common, self.youngs)
+        elif iterations > _FACTOR_COLUMNS:
             lease.factor(self.tangent, self.youngs)
 
     def unit_work(self, fields: Float[np.ndarray, "size k"]) -> Float[np.ndarray, "moduli k"]:

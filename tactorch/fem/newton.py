@@ -5,6 +5,7 @@ indefinite, those of the elements are projected to positive semi-definite ones. 
 tried first; if it fails, the load is applied in steps that shrink and grow.
 """
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -106,8 +107,8 @@ class Newton:
         single = pool.has_single_precision and not assembly.material.allows_inversion
         self._allow_single_precision = single
         if lease is None:
-            lease = after._lease.transfer_factorization() if after else pool.lease(single)
-        self._lease: Lease | SharedLease = lease
+            lease = after.lease.transfer_factorization() if after else pool.lease(single)
+        self.lease: Lease | SharedLease = lease
 
     def run(self, start: Float[np.ndarray, "nodes 3"] | None = None) -> EquilibriumResult:
         """Find the equilibrium, from `start` (mm) if given. A failure is returned, not raised."""
@@ -141,11 +142,17 @@ class Newton:
             raise ConfigError("points invert an element, or are not finite.")
         return other
 
-    def linearize(self, result: EquilibriumResult, rtol: float = 0.0) -> Linearization:
+    def linearize(
+        self,
+        result: EquilibriumResult,
+        rtol: float = 0.0,
+        common: Callable[[], Float[np.ndarray, " nnz"] | None] = lambda: None,
+    ) -> Linearization:
         """Return the linearisation at an equilibrium, which shares the search's solver.
 
         With a positive `rtol` its solutions have this relative residual, which is cheaper than a
-        factorisation for a few of them.
+        factorisation for a few of them. `common` gives a tangent that other load cases are near to
+        as well, to be factored for all of them.
         """
         assert result.response is not None
         if not rtol:
@@ -153,7 +160,7 @@ class Newton:
         tangent = self._tangent(result.response, result.displacement, 1.0)
         values = self.pattern.apply_dirichlet(tangent, self._fixed)
         state = (self.assembly, self.youngs, result.displacement, result.response)
-        return Linearization(*state, values, self._fixed, self._lease, rtol)
+        return Linearization(*state, values, self._fixed, self.lease, rtol, common)
 
     def unbalanced(
         self, u: Float[np.ndarray, "nodes 3"]
@@ -167,12 +174,11 @@ class Newton:
         residual, scale = self._residual(response, u, 1.0)
         return residual, float(np.abs(residual).max()) / (scale or 1.0)
 
-    def factor_at(self, u: Float[np.ndarray, "nodes 3"], lease: Lease) -> bool:
-        """Factor the tangent at displacements; return whether it is positive definite there."""
+    def tangent_at(self, u: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, " nnz"] | None:
+        """Return the tangent that is factored at displacements; None where one inverts elements."""
         if (response := self._respond(u)) is None:
-            return False
-        tangent = self._tangent(response, u, 1.0)
-        return lease.factor(self.pattern.apply_dirichlet(tangent, self._fixed), self.youngs)
+            return None
+        return self.pattern.apply_dirichlet(self._tangent(response, u, 1.0), self._fixed)
 
     def support_forces(self, result: EquilibriumResult) -> Float[np.ndarray, "nodes 3"]:
         """Return the forces of the fixed supports on the body at an equilibrium, N."""
@@ -357,11 +363,11 @@ class Newton:
             rhs = rhs - self.pattern.product(values, jump)
         rhs[self._fixed] = 0.0
         try:
-            with self._lease.hold() as lease:
+            with self.lease.hold() as lease:
                 step = self._iterate(lease, matrix, rhs, rtol)
             if step is None:
                 self._use_double_precision()
-                with self._lease.hold() as lease:
+                with self.lease.hold() as lease:
                     step = lease.solve(rhs, rtol) if lease.factor(matrix) else None
         except IndefiniteError:
             return None
@@ -386,9 +392,9 @@ class Newton:
 
     def _use_double_precision(self) -> None:
         """Factor in double precision from here on."""
-        if self._lease.single_precision:
-            self._lease.close()
-            self._lease = self._pool.lease()
+        if self.lease.single_precision:
+            self.lease.close()
+            self.lease = self._pool.lease()
 
     def _line_search(
         self, u: np.ndarray, response: Response, residual: np.ndarray, step: np.ndarray, load: float

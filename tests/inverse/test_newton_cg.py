@@ -77,11 +77,11 @@ def test_one_set_of_factors_serves_all_iterates(noisy: Recording) -> None:
     objective = make_objective(noisy, Settings())
     near = objective.at(objective.start(np.full(noisy.mesh.n_tets, 0.2)))
     gradient = near.data_gradient
-    leases = [near.evaluation.search(i)._lease for i in range(3)]
+    leases = [near.evaluation.search(i).lease for i in range(3)]
     solvers = {id(lease._solver) for lease in leases}
     step = np.full(noisy.mesh.n_tets, 0.01)
     there = objective.at(near.x + step, near, take_over=True)
-    assert {id(there.evaluation.search(i)._lease._solver) for i in range(3)} == solvers
+    assert {id(there.evaluation.search(i).lease._solver) for i in range(3)} == solvers
     assert all(lease._solver is None for lease in leases)
     alone = objective.at(near.x + step)
     np.testing.assert_allclose(

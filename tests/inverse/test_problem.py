@@ -298,7 +298,7 @@ def test_a_chain_of_presses_predicts_the_same(recording: Recording, threads: int
     for a, b in zip(beside.reported, chained.reported, strict=True):
         np.testing.assert_allclose(b, a, rtol=0, atol=1e-9 * np.abs(a).max())
     searches = [chained.search(i) for i in range(len(recording.presses))]
-    assert sum(search._lease._solver is not None for search in searches) == threads
+    assert sum(search.lease._solver is not None for search in searches) == threads
 
 
 def test_jacobian_times_each_is_that_of_each(recording: Recording, moduli: np.ndarray) -> None:
@@ -323,6 +323,32 @@ def test_the_last_linear_response_is_kept_with_other_data(
     np.testing.assert_array_equal(same_fields, fields)
     for column, change in zip(wider.linear_response(second)[0].T, second, strict=True):
         np.testing.assert_allclose(column, wider.jacobian_times(change), rtol=1e-9)
+
+
+@pytest.mark.parametrize("size", [0.05, 3.0])
+def test_the_linear_response_after_a_step_is_derived_from_that_before_where_it_is_accurate(
+    recording: Recording, moduli: np.ndarray, size: float
+) -> None:
+    """The moduli change in two parts of the body by the logarithms of two factors."""
+    problem = InverseProblem(recording, derivative_rtol=1e-9)
+    parts = np.arange(len(moduli)) % 3 == np.arange(2)[:, None]
+    step = size * np.array([1.0, 0.5])
+    before = problem.evaluate(moduli)
+    old, _ = before.linear_response(parts * moduli)
+    youngs = moduli * np.exp(step @ parts)
+    exact, derived = problem.evaluate(youngs), problem.evaluate(youngs)
+    derived.update_response(parts * youngs, before, step)
+    assert (derived._response is not None) == (size < 1.0)
+    columns, fields = derived.linear_response(parts * youngs)
+    true, true_fields = exact.linear_response(parts * youngs)
+    along = true @ step
+    error = np.linalg.norm(columns @ step - along)
+    assert error < 0.1 * np.linalg.norm(old @ step - along)
+    for field, known in zip(fields, true_fields, strict=True):
+        change = np.tensordot(step, known, 1)
+        np.testing.assert_allclose(
+            np.tensordot(step, field, 1), change, atol=5e-3 * np.abs(change).max()
+        )
 
 
 def force_patterns(problem: InverseProblem, evaluation: Evaluation, smallest: float) -> np.ndarray:

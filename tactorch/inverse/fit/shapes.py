@@ -288,7 +288,11 @@ class _ShapeSteps(StepSolver):
     def moved(self, point: Point, change: Vector) -> Point:
         _, fields = point.evaluation.linear_response(self._shapes_point.changes)
         starts = point.evaluation.moved([np.tensordot(change, field, 1) for field in fields])
-        return point.objective.at(self._after(change), starts=starts)
+        after = point.objective.at(self._after(change), starts=starts)
+        assert isinstance(after.field, _ShapesPoint)
+        changes = after.field.changes
+        after.evaluation.update_response(changes, point.evaluation, after.x - point.x)
+        return after
 
     @property
     def _shapes_point(self) -> _ShapesPoint:

@@ -1,9 +1,9 @@
 """The forward problem of all presses: equilibria, predictions and their derivatives (eq. 7)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,6 +39,9 @@ NodalField = Float[np.ndarray, "nodes 3"]
 NodalFields = Float[np.ndarray, "k nodes 3"]
 
 _AT_ONCE = 12  # presses whose equilibria are searched together
+# Error of derivatives in the change of the data by steps, over the sum of squares of the changes by
+# each parameter, up to which those after the steps are derived from those before.
+_MAX_MISS = 0.1
 _MAX_RELATIVE_CHANGE = 0.5  # of a modulus, for which du/de predicts u
 
 
@@ -71,6 +74,7 @@ class _LinearResponse(NamedTuple):
     changes: Changes
     columns: Columns
     fields: list[NodalFields]
+    missed: float = 0.0  # see `_MAX_MISS`
 
 
 class Evaluation:
@@ -152,14 +156,30 @@ class Evaluation:
     def sensitivities(self) -> list[Sensitivity]:
         """Linearisation of each press, factored once."""
         frame = self.nuisance.rotation if self.nuisance.rotation_rad.any() else None
+        tangents = self._common_tangents()
 
         def work(i: int) -> Sensitivity:
             press, observation = self._presses[i], self.data.observations[i]
-            linearization = press.newton.linearize(press.equilibrium, self.derivative_rtol)
+            common = tangents[id(press.newton.lease)]
+            linearization = press.newton.linearize(press.equilibrium, self.derivative_rtol, common)
             rates = press.readings.rates(press.newton, press.equilibrium)
             return Sensitivity(linearization, observation.index, frame, rates)
 
         return map_cases(work, len(self._presses))
+
+    def _common_tangents(self) -> dict[int, Callable[[], Float[np.ndarray, " nnz"] | None]]:
+        """Return what gives the tangent at the mean displacement of each lease's presses."""
+        sharing: dict[int, list[_PressSolution]] = {}
+        for press in self._presses:
+            sharing.setdefault(id(press.newton.lease), []).append(press)
+
+        def common(presses: list[_PressSolution]) -> Float[np.ndarray, " nnz"] | None:
+            if len(presses) == 1 or any(press.newton.contact is not None for press in presses):
+                return None
+            mean = np.mean([press.equilibrium.displacement for press in presses], axis=0)
+            return presses[0].newton.tangent_at(mean)
+
+        return {lease: cache(partial(common, presses)) for lease, presses in sharing.items()}
 
     def factor(self) -> None:
         """Factor the tangent of each press.
@@ -251,6 +271,39 @@ class Evaluation:
 
         columns, fields = zip(*map_cases(work, len(cases)), strict=True)
         return np.concatenate(columns), list(fields)
+
+    def update_response(
+        self, changes: Changes, before: "Evaluation", step: Float[np.ndarray, " k"]
+    ) -> None:
+        """Derive the response to changes from that of an evaluation nearby, where it is accurate.
+
+        The derivatives along the step are those of a parabola through the data of both evaluations;
+        across it they remain (C. G. Broyden, "A class of methods for solving nonlinear simultaneous
+        equations", Math. Comput. 19 (1965), 577-593).
+
+        Args:
+            changes: Changes of the moduli (MPa) by parameters here.
+            before: The evaluation, whose last response is to changes by the same parameters there.
+            step: Change of the parameters since then.
+        """
+        response, square = before._response, float(step @ step)
+        if response is None or not self.derivative_rtol or not square:
+            return
+        moved = np.concatenate(self.predicted) - np.concatenate(before.predicted)
+        missed, scale = moved - response.columns @ step, self.data.scale
+        size = np.linalg.norm(self.data.whiten(response.columns * scale[:, None]) * step)
+        ratio = response.missed + float(np.linalg.norm(self.data.whiten(missed * scale)) / size)
+        if ratio > _MAX_MISS:
+            return
+        along = 2.0 * step / square
+        fields = []
+        for u, u_before, field in zip(
+            self.displacements, before.displacements, response.fields, strict=True
+        ):
+            u_missed = u - u_before - np.tensordot(step, field, 1)
+            fields.append(field + along[:, None, None] * u_missed)
+        columns = response.columns + np.outer(missed, along)
+        self._response = _LinearResponse(changes.copy(), columns, fields, ratio)
 
     def moved(self, changes: Sequence[NodalField]) -> list[NodalField]:
         """Return the displacements of all presses plus changes (mm) that invert no element."""

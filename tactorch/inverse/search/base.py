@@ -221,19 +221,13 @@ class SearchProblem(ABC):
         return self.fit(start, None, tolerance, evaluation=model.evaluation)
 
     def displacements(
-        self,
-        model: Model,
-        z: Float[np.ndarray, " size"],
-        start: tuple[Float[np.ndarray, " size"], Evaluation] | None = None,
+        self, model: Model, z: Float[np.ndarray, " size"]
     ) -> list[Float[np.ndarray, "nodes 3"]]:
-        """Return the displacements (mm) of a model with other parameters, linearised about it.
-
-        `start` are parameters nearer to these and their evaluation.
-        """
+        """Return the displacements (mm) of a model with other parameters, linearised about it."""
         changes = ShapesOnSites(model.fit.field, self.sites).at(model.fit.z).changes
         _, fields = model.evaluation.linear_response(changes)
-        before, evaluation = start or (model.fit.z, model.evaluation)
-        return evaluation.moved([np.tensordot(z - before, field, 1) for field in fields])
+        step = z - model.fit.z
+        return model.evaluation.moved([np.tensordot(step, field, 1) for field in fields])
 
     def try_model(self, start: Start, offsets: list[np.ndarray]) -> tuple[Evidence, np.ndarray]:
         """Return the evidence and the parameters of a fit with the reduced model.

@@ -146,21 +146,16 @@ def _fit_across(
     z: Float[np.ndarray, " size"],
     direction: Float[np.ndarray, " size"],
 ) -> Model:
-    """Return the model fitted from other parameters, which remain along a direction.
-
-    The first step is by the derivatives of the model, those of a point of the ridge nearby.
-    """
-    fit, family = model.fit, ShapesOnSites(model.fit.field, problem.sites)
+    """Return the model fitted from other parameters, which remain along a direction."""
+    family = ShapesOnSites(model.fit.field, problem.sites)
     presses = problem.full.with_data(model.evaluation.data)
-    predicted = problem.displacements(model, z)
-    evaluation = presses.evaluate(family.at(z).youngs, starts=predicted)
-    optimum = np.clip(
-        RidgePoint.of(z, evaluation.residuals, fit.jacobian, direction).z, *family.limits
+    point, predicted = family.at(z), problem.displacements(model, z)
+    evaluation = presses.evaluate(point.youngs, starts=predicted)
+    evaluation.update_response(point.changes, model.evaluation, z - model.fit.z)
+    start = Start("ridge", model.fit.field, z, model.errors)
+    return problem.fit(
+        start, None, tolerance=_RIDGE_TOLERANCE, held=direction, evaluation=evaluation
     )
-    predicted = problem.displacements(model, optimum, (z, evaluation))
-    del evaluation  # the largest arrays
-    start = Start("ridge", fit.field, optimum, model.errors)
-    return problem.fit(start, predicted, tolerance=_RIDGE_TOLERANCE, held=direction)
 
 
 def _point(model: Model, direction: Float[np.ndarray, " size"], inflation: float) -> RidgePoint:
