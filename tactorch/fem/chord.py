@@ -22,6 +22,7 @@ from tactorch.linalg.solver import IndefiniteError
 _MAX_ITERATIONS, _DEPTH = 20, 6
 _MOVE_RTOL = 0.1  # of the moves, by iterative solvers: Anderson's combination corrects them
 _WORSE = 10.0  # rise of the unbalanced force over the least one at which a case is left
+_NEAR = 1.5  # ratio of moduli up to which a factorisation serves as well as a new one
 NodalField = Float[np.ndarray, "nodes 3"]
 
 
@@ -65,12 +66,12 @@ def approach(
     Args:
         searches: The load cases, of the same supports and similar tangents.
         starts: Displacements to start from, which have the prescribed values, mm.
-        lease: The factorisation that they share; without one the tangent at the mean of the starts
-            is factored, or that of the first case where an element is inverted there.
+        lease: The factorisation that they share; without one of similar moduli the tangent at the
+            mean of the starts is factored, or that of the first case where that inverts elements.
     """
     cases = [_Case(search, u, u) for search, u in zip(searches, starts, strict=True)]
     with lease.hold() as held:
-        if held.factored is None and not _factor(searches[0], starts, held):
+        if not (_is_near(held, searches[0]) or _factor(searches[0], starts, held)):
             return list(starts)
         active = cases
         for _ in range(_MAX_ITERATIONS):
@@ -86,6 +87,15 @@ def approach(
             for case, step in zip(active, steps.T, strict=True):
                 case.move(step)
     return [case.best for case in cases]
+
+
+def _is_near(lease: Lease, search: Newton) -> bool:
+    """Return whether a lease has the factorisation of a tangent of similar moduli."""
+    about = lease.about
+    if lease.factored is None or not isinstance(about, np.ndarray):
+        return lease.factored is not None
+    ratios = search.youngs / about
+    return bool(_NEAR > ratios.max() and ratios.min() > 1.0 / _NEAR)
 
 
 def _factor(search: Newton, starts: Sequence[NodalField], lease: Lease) -> bool:
