@@ -227,7 +227,7 @@ class PalpationSettings(Options):
         """Yield the presses; poses are moved along the normal so that contacts are on the mesh."""
         ball, steps = Ball(samples.radius_mm), np.zeros(len(samples.names), dtype=int)
         normals, points = samples.normals @ turn, contacts.points_mm @ turn
-        rotations = [_rotation(normal) for normal in normals]
+        rotations = _rotations(normals)
         deviations = np.hypot(self.contact_mm, unevenness(contacts.points_mm))
         for i in np.lexsort((samples.advance_mm, samples.probe)):
             k = int(samples.probe[i])
@@ -304,7 +304,8 @@ def _count_rows(samples: Samples, total: int, without: int, source: str) -> dict
     return {"rows": total, "rows_used": used, "rows_left_out": left}
 
 
-def _rotation(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """Return a rotation whose z axis is the normal."""
-    across = np.linalg.svd(normal[None])[2][1:]
-    return frozen(np.column_stack([across[0], np.cross(normal, across[0]), normal]))
+def _rotations(normals: Float[np.ndarray, "k 3"]) -> list[Float[np.ndarray, "3 3"]]:
+    """Return rotations whose z axes are the normals."""
+    across = np.linalg.svd(normals[:, None])[2][:, 1]
+    axes = np.stack([across, np.cross(normals, across), normals], axis=2)
+    return [frozen(rotation) for rotation in axes]

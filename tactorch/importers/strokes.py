@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 _GRID = 0.25  # to which places are rounded, over the distance at which they are apart
+_ONE_PLACE = 0.6  # extent of rows that are near each other wherever they are rounded to, over it
 _ASIDE = 0.2  # motion aside over motion along, up to which rows are of the approach
 _JITTER, _MAX_STILL = 5.0, 20.0  # motion that is none, over the noise of positions, at most
 _THIRD, _SCATTER, _MIN_SHARE = 3, 2.0, 0.08  # see `find_mixed`
@@ -32,6 +33,8 @@ def find_places(
 
     Rows of places with few rows have -1, unless there are no others.
     """
+    if np.linalg.norm(np.ptp(xy_mm, axis=0)) < _ONE_PLACE * apart_mm:
+        return np.zeros(len(xy_mm), dtype=int)
     cells, cell = np.unique(np.round(xy_mm / (_GRID * apart_mm)), axis=0, return_inverse=True)
     pairs = cKDTree(cells).query_pairs(1.0 / _GRID, output_type="ndarray")
     ones = np.ones(len(pairs), dtype=bool)
