@@ -95,7 +95,7 @@ def _is_near(lease: Lease, search: Newton) -> bool:
     if lease.factored is None or not isinstance(about, np.ndarray):
         return lease.factored is not None
     ratios = search.youngs / about
-    return bool(_NEAR > ratios.max() and ratios.min() > 1.0 / _NEAR)
+    return bool(ratios.max() < _NEAR and ratios.min() > 1.0 / _NEAR)
 
 
 def _factor(search: Newton, starts: Sequence[NodalField], lease: Lease) -> bool:

@@ -11,11 +11,11 @@ from jaxtyping import Float
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions
 from tactorch.inverse.data.observations import Observation, group_by_contact
-from tactorch.inverse.errors import ERRORS, ErrorModel, MeasuredPresses
+from tactorch.inverse.errors import ERRORS, ErrorModel, Levels, MeasuredPresses
 from tactorch.inverse.errors.kept import KeptRims
 from tactorch.inverse.fields import ShapePrior, Sites
 from tactorch.inverse.fit.settings import Settings
-from tactorch.inverse.fit.shapes import ShapesOnSites
+from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites
 from tactorch.inverse.fit.starts import uniform_fit
 from tactorch.inverse.forward.problem import InverseProblem
 from tactorch.inverse.forward.reduced import ReducedProblem
@@ -102,7 +102,7 @@ class ShapeProblem(SearchProblem):
                 kept=correction.kept,
             )  # fmt: skip
         self.errors = ErrorModel(presses, ERRORS)
-        self._corrected_at: Model | None = None
+        self._corrected_at: tuple[ShapeFit, Levels] | None = None
         youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
         self.reduced = ReducedProblem.about_uniform(self.linear, youngs)
         self.matched = MatchedFilter.of(self.reduced)
@@ -173,13 +173,13 @@ class ShapeProblem(SearchProblem):
 
     def _is_corrected(self, model: Model) -> bool:
         """Whether the last correction was computed at nearly the same parameters."""
-        last, fit = self._corrected_at, model.fit
-        if last is None or last.fit.field is not fit.field:
+        if self._corrected_at is None:
             return False
-        if self.errors.differs(last.errors, model.errors):
+        (last, errors), fit = self._corrected_at, model.fit
+        if last.field is not fit.field or self.errors.differs(errors, model.errors):
             return False
         deviations = np.sqrt(np.diag(fit.covariance))
-        return bool((np.abs(fit.z - last.fit.z) <= _SAME_MODEL * deviations).all())
+        return bool((np.abs(fit.z - last.z) <= _SAME_MODEL * deviations).all())
 
     def corrected(self, model: Model, tolerance: float | None = None) -> Model:
         """Return the model fitted to data that are shifted by the error of the discretisation.
@@ -197,7 +197,7 @@ class ShapeProblem(SearchProblem):
             self.errors = self.errors.corrected([one + other for one, other in pairs])
             self.full = self.errors.presses.problem
             corrected = self._fit_further(model, "corrected", tolerance)
-            self._corrected_at = model
+            self._corrected_at = model.fit, model.errors  # without the equilibria: large arrays
             return corrected
         except (ConfigError, ConvergenceError) as error:
             self.full, self.errors = before
