@@ -99,6 +99,6 @@ def _is_near(lease: Lease, search: Newton) -> bool:
 
 
 def _factor(search: Newton, starts: Sequence[NodalField], lease: Lease) -> bool:
-    """Factor a tangent amid the load cases; return whether there is one."""
+    """Factor a tangent near those of the load cases; return whether there is one."""
     tangents = (search.tangent_at(u) for u in (np.mean(starts, axis=0), starts[0]))
     return any(lease.factor(tangent, search.youngs) for tangent in tangents if tangent is not None)

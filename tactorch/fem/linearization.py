@@ -48,7 +48,7 @@ class Linearization:
     # Where positive: solutions are iterative, to this relative residual, preconditioned by the
     # factorisation of a nearby tangent that the lease has.
     rtol: float = 0.0
-    # Gives a tangent amid those of all load cases that share the lease, if there is one.
+    # Gives a tangent near those of all load cases that share the lease, if there is one.
     common: Callable[[], Float[np.ndarray, " nnz"] | None] = lambda: None
 
     def factor(self) -> None:

@@ -41,7 +41,7 @@ NodalFields = Float[np.ndarray, "k nodes 3"]
 _AT_ONCE = 12  # presses whose equilibria are searched together
 # Error of derivatives in the change of the data by steps, over the sum of squares of the changes by
 # each parameter, up to which those after the steps are derived from those before.
-_MAX_MISS = 0.1
+_MAX_MISS = 0.08
 _MAX_RELATIVE_CHANGE = 0.5  # of a modulus, for which du/de predicts u
 
 
