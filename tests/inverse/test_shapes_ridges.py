@@ -71,8 +71,7 @@ class FarField:
         for sign in sides:
             point = start
             while point.height - start.height < 3.0:
-                step = point.step(sign, 2.0)
-                step /= max(1.0, np.abs(step).max() / 0.6)
+                step = point.step(sign, 2.0, 0.6)
                 z = self.fitted(point.z + step, held=True)
                 if np.abs(z).max() > 3.9:
                     break

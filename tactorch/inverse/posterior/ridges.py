@@ -65,11 +65,24 @@ class RidgePoint:
             np.sqrt(variance),
         )
 
-    def step(self, sign: float, rise: float) -> Float[np.ndarray, " size"]:
-        """Return the step along the ridge at whose end a parabola is higher by `rise`."""
+    def step(
+        self, sign: float, rise: float, longest: float, bend: float | np.ndarray = 0.0
+    ) -> Float[np.ndarray, " size"]:
+        """Return the step along the ridge at whose end a parabola is higher by `rise`.
+
+        No parameter changes by more than `longest` to first order; `bend` is the derivative of
+        `along` by t.
+        """
         slope, curvature = sign * self.slope, self.deviation**-2
         change = (np.sqrt(slope**2 + 2.0 * rise * curvature) - slope) / curvature
-        return np.asarray(sign * change * self.along)
+        change = sign * min(change, longest / float(np.abs(self.along).max()))
+        return np.asarray(change * self.along + 0.5 * change**2 * bend)
+
+    def bend(
+        self, other: "RidgePoint", direction: Float[np.ndarray, " size"]
+    ) -> Float[np.ndarray, " size"]:
+        """Return the mean derivative of `along` by t between this point and another one."""
+        return (self.along - other.along) / float((self.z - other.z) @ direction)
 
 
 def basis_across(direction: Float[np.ndarray, " size"]) -> Float[np.ndarray, "size others"]:

@@ -77,11 +77,10 @@ def follow_ridge(problem: SearchProblem, model: Model, inclusion: int) -> Ridge:
     direction /= np.sqrt(2.0)
     inflation = max(1.0, model.fit.chi2)
     start = _point(model, direction, inflation)
-    others = [
-        point
-        for sign in (-1.0, 1.0)
-        for point in _one_side(problem, model, start, direction, sign, inflation)
-    ]
+    others: list[RidgePoint] = []
+    for sign in (-1.0, 1.0):
+        beside = others[0] if others else None
+        others += _one_side(problem, model, start, beside, direction, sign, inflation)
     return Ridge.through(start, others, inclusion, direction)
 
 
@@ -114,16 +113,20 @@ def _one_side(
     problem: SearchProblem,
     model: Model,
     point: RidgePoint,
+    beside: RidgePoint | None,
     direction: Float[np.ndarray, " size"],
     sign: float,
     inflation: float,
 ) -> Iterator[RidgePoint]:
-    """Yield points of larger t (sign 1) or smaller t (sign -1)."""
+    """Yield points of larger t (sign 1) or smaller t (sign -1).
+
+    `beside` is a point near the first one, from which the bend of the ridge is known.
+    """
     field, lowest = model.fit.field, point.height
     limits = ShapesOnSites(field, problem.sites).limits
     for _ in range(_MAX_POINTS):
-        step = point.step(sign, _RISE)
-        step /= max(1.0, float(np.abs(step).max()) / _MAX_STEP)
+        bend = 0.0 if beside is None else point.bend(beside, direction)
+        step = point.step(sign, _RISE, _MAX_STEP, bend)
         z = np.clip(field.moved(point.z, step), *limits)
         if sign * float(direction @ (z - point.z)) < _MIN_STEP:
             return  # at a bound
@@ -131,8 +134,8 @@ def _one_side(
             model = _fit_across(problem, model, z, direction)
         except ConvergenceError:
             return
-        before, point = point, _point(model, direction, inflation)
-        if sign * float(direction @ (point.z - before.z)) < _MIN_STEP:
+        beside, point = point, _point(model, direction, inflation)
+        if sign * float(direction @ (point.z - beside.z)) < _MIN_STEP:
             return
         yield point
         lowest = min(lowest, point.height)
