@@ -583,7 +583,7 @@ def test_the_correction_is_the_error_of_the_common_mesh():
     rim = Rim.of(recording.presses[0], recording.mesh)
     sizing = rim.sizing(0.2, 0.7, 0.2)
     _, _, finest = evaluate(refine_recording(recording, sizing, smooth_tractions=True))
-    correction = Correction.of(problem, "tet10", "auto")
+    correction = Correction.of(problem)
     offsets = correction.offsets(fit, before)
     n = recording.mesh.n_points
     for i, observation in enumerate(problem.data.observations):
@@ -595,7 +595,7 @@ def test_the_correction_is_the_error_of_the_common_mesh():
 def test_whole_sides_are_corrected_at_sharp_edges_and_inclusions(recording):
     newton = NewtonOptions()
     problem = InverseProblem(recording, element="tet10", newton=newton)
-    correction = Correction.of(problem, "tet10", "auto")
+    correction = Correction.of(problem)
     assert not correction.uncertain
     assert not correction.has_singular_ends
     assert [numbers for numbers, _ in correction.contacts] == [(0, 1), (2, 3)]
@@ -624,7 +624,7 @@ def test_corrections_of_one_tangent_a_contact_are_those_of_equilibria(recording,
 
     monkeypatch.setattr(Newton, "_tangent", counted)
     monkeypatch.setattr(correction_module, "sharp_edge_sizing", lambda mesh: None)  # smaller meshes
-    correction = Correction.of(problem, "tet10", "auto")
+    correction = Correction.of(problem)
     found = np.concatenate(correction.offsets(fit, evaluation))
     assert len(tangents) == 1
     monkeypatch.setattr(correction_module, "_NEWTON", NewtonOptions(rtol=1e-7))
@@ -699,7 +699,7 @@ def test_corrections_hold_at_inclusions():
     z = field.standard(np.array([np.log(0.2), 5.0, 5.0, 6.0, np.log(2.2), np.log(5.0)]))
     problem = InverseProblem(recording, element="tet10")
     fit, before = fit_shapes(problem, field, z, max_iterations=0)
-    (offset,) = Correction.of(problem, "tet10", "auto").offsets(fit, before)
+    (offset,) = Correction.of(problem).offsets(fit, before)
     # The reference does not follow the ball, but has small elements there.
     (ball,) = field.shapes(z)
     fine = refine_recording(recording, lambda points: 0.6 + 0.7 * np.abs(ball.distance(points)))

@@ -75,7 +75,7 @@ def evaluation(problem):
 
 
 def test_edges_are_those_beside_the_rim(recording, problem):
-    ((_, rim),) = Correction.of(problem, "tet10", "auto").contacts
+    ((_, rim),) = Correction.of(problem).contacts
     forces = recording.presses[0].forces
     loaded = LoadedSurface.of(MESH.surface, forces)
     ends, areas = rim_edges(loaded, rim.nodes)
@@ -101,7 +101,7 @@ def test_loads_have_no_integrals_over_hat_functions():
 
 def test_patterns_explain_the_traction_that_ends_within_triangles(recording, problem, evaluation):
     """A uniform pressure on the disc, and the traction that its nodal forces stand for."""
-    contacts = Correction.of(problem, "tet10", "auto").uncertain
+    contacts = Correction.of(problem).uncertain
     discretisation = problem.body.discretisation
     exact = 0.01 * patch_forces(discretisation, PressSite("z+", (5.0, 5.0, 10.0)), RADIUS_MM)
     change = exact - discretisation.consistent_loads(recording.presses[1].forces)
@@ -143,7 +143,7 @@ def test_errors_at_rims_are_kept_while_the_moduli_there_remain(recording, proble
         z = field.standard(np.array(values))
         fit, before = fit_shapes(problem, field, z, max_iterations=0)
         # A correction of a later search, which shares what is kept.
-        offsets = Correction.of(problem, "tet10", "auto", kept).offsets(fit, before)
+        offsets = Correction.of(problem, kept).offsets(fit, before)
         return pytest.approx(offsets[1][0])
 
     assert last_change(np.log(0.2)) == 1.0

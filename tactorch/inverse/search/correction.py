@@ -13,7 +13,7 @@ second is that of one mesh for all contacts, whose faces follow the inclusions.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float, Int
 
 from tactorch.fem import NewtonOptions
 from tactorch.fem.transfer import Transfer
-from tactorch.inverse.data.observations import NoiseModel, group_by_contact
+from tactorch.inverse.data.observations import group_by_contact
 from tactorch.inverse.errors.kept import KeptRims, RimError, press_key
 from tactorch.inverse.fields import InclusionShape, Sites
 from tactorch.inverse.fit.shapes import ShapeFit
@@ -35,7 +35,7 @@ from tactorch.inverse.search.sizing import (
     sharp_edge_sizing,
     smallest,
 )
-from tactorch.linalg import SOLVERS, SolverOptions, limit_workers, map_cases
+from tactorch.linalg import SOLVERS, limit_workers, map_cases
 from tactorch.linalg.parallel import worker_count
 from tactorch.linalg.solver import AutoSolver
 from tactorch.mesh import Refinement, refine
@@ -100,44 +100,28 @@ class Correction:
     """Differences between the common mesh and finer ones.
 
     Attributes:
-        recording: Presses on the common mesh.
-        element: Element type.
-        solver: Linear solver of the finer meshes.
-        noise: Standard deviations for presses that do not state theirs.
+        problem: Presses on the common mesh.
         contacts: Presses of each contact, which differ by a factor, and its rim if it has one.
         kept: Errors at rims, maybe of an earlier search on fewer presses.
-        contact_mpa: Modulus for the stiffness of contacts with probes; None without probes.
     """
 
-    recording: Recording
-    element: str
-    solver: str | SolverOptions
-    noise: NoiseModel
+    problem: InverseProblem
     contacts: tuple[tuple[tuple[int, ...], Rim | None], ...]
-    kept: KeptRims = field(default_factory=KeptRims)
-    contact_mpa: float | None = None
+    kept: KeptRims
 
     @staticmethod
-    def of(
-        problem: InverseProblem,
-        element: str,
-        solver: str | SolverOptions,
-        kept: KeptRims | None = None,
-    ) -> "Correction":
-        """Return the correction for the contacts of a problem with this element and solver.
-
-        The solver "auto" is multigrid, for few solves on each of several meshes.
-        """
-        if isinstance(SOLVERS.build(solver), AutoSolver):
-            solver = "p_multigrid"
+    def of(problem: InverseProblem, kept: KeptRims | None = None) -> "Correction":
+        """Return the correction for the contacts of a problem."""
         recording = problem.recording
         pairs = []
         for numbers in group_by_contact(recording.presses, problem.data.observations):
             pairs.append((numbers, Rim.of(recording.presses[numbers[0]], recording.mesh)))
-        return Correction(
-            recording, element, solver, problem.noise, tuple(pairs), kept or KeptRims(),
-            problem.contact_mpa if recording.has_probes else None,
-        )  # fmt: skip
+        return Correction(problem, tuple(pairs), kept or KeptRims())
+
+    @property
+    def recording(self) -> Recording:
+        """The presses on the common mesh."""
+        return self.problem.recording
 
     @property
     def has_contacts(self) -> bool:
@@ -287,11 +271,15 @@ class Correction:
         `fine` are the presses on a finer mesh, and `youngs_of` the moduli (MPa) at its quadrature
         points.
         """
-        body = make_body(fine, self.element, self.solver, _NEWTON)
+        common = self.problem.body
+        element = "tet10" if common.discretisation.element.quadratic else "tet4"
+        automatic = isinstance(SOLVERS.build(common.solver), AutoSolver)
+        # There are few solves on each of several meshes.
+        body = make_body(fine, element, "p_multigrid" if automatic else common.solver, _NEWTON)
         youngs = youngs_of(Sites.of(body.assembly))
+        contact_mpa = self.problem.contact_mpa if fine.has_probes else None
         displacements = model.evaluation.displacements
-        common = model.evaluation.search(0).assembly.discretisation
-        transfer = Transfer.between(common, body.discretisation.positions)
+        transfer = Transfer.between(common.discretisation, body.discretisation.positions)
 
         def solve(series: _LoadSeries) -> dict[int, np.ndarray]:
             """Solve one load after the other; a tangent serves all presses of the same supports."""
@@ -301,7 +289,7 @@ class Correction:
                 model.check()
                 one = replace(fine, presses=(fine.presses[i],))
                 problem = InverseProblem(
-                    one, body=body, noise=self.noise, contact_mpa=self.contact_mpa,
+                    one, body=body, noise=self.problem.noise, contact_mpa=contact_mpa,
                     derivative_rtol=_NEWTON.rtol,
                 )  # fmt: skip
                 start = transfer(displacements[i])

@@ -70,9 +70,9 @@ class ShapeProblem(SearchProblem):
         max_shapes: int = 0,
     ) -> None:
         super().__init__(stop, max_shapes)
-        same, self._element = is_same_model(recording), "tet10"
+        same, element = is_same_model(recording), "tet10"
         if same:
-            self._element = str(recording.provenance.get("element", settings.element))
+            element = str(recording.provenance.get("element", settings.element))
         newton = NewtonOptions(rtol=max(settings.newton.rtol, _RTOL))
         unscaled = [Observation.of(press, 1.0) for press in recording.presses]
         contacts, noise = group_by_contact(recording.presses, unscaled), settings.noise
@@ -87,13 +87,13 @@ class ShapeProblem(SearchProblem):
         self.linear = problem("tet4")
         if recording.has_probes:
             options["contact_mpa"] = self.linear.contact_mpa
-        self.full = problem(self._element, derivative_rtol=_DERIVATIVE_RTOL)
+        self.full = problem(element, derivative_rtol=_DERIVATIVE_RTOL)
         self.sites = Sites.of(self.full.body.assembly)
         self._reduced_sites = Sites.of(self.linear.body.assembly)
         # Where the presses were computed on this mesh, it is the object.
         self._correction, presses = None, MeasuredPresses(self.full, contacts)
         if not same:
-            correction = Correction.of(self.full, self._element, settings.solver, kept)
+            correction = Correction.of(self.full, kept)
             self._correction, presses = correction, replace(
                 presses,
                 corrections_mm=[np.zeros(count) for count in self.full.data.counts],
