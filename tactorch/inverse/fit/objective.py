@@ -121,10 +121,15 @@ class Point:
         """Return the part of the misfit's Hessian that Gauss-Newton omits times a change of x.
 
         It needs a coefficient for each element, and no nuisance parameters.
+
+        Raises:
+            ConfigError: the field has not one modulus per element.
         """
+        parameterization = self.objective.elements.parameterization
         by_youngs = self.evaluation.second_order_times(self.field.youngs_change(change))
         inner = self.field.transpose_times(by_youngs)
-        return inner + self.field.second_derivative_times(self._youngs_gradient, change)
+        second = parameterization.second_derivative(self.coefficients)
+        return inner + second * self._youngs_gradient * change
 
     def value(self, weight: float) -> float:
         """Return the objective with this weight of the prior."""
