@@ -27,7 +27,7 @@ from tactorch.inverse.search.model import (
     make_posterior,
 )
 from tactorch.inverse.search.problem import ShapeProblem
-from tactorch.inverse.search.sizing import Rim
+from tactorch.inverse.search.sizing import loaded_end
 from tactorch.mesh import box_mesh
 from tactorch.mesh.tractions import LoadedSurface
 from tactorch.phantoms import make_phantom
@@ -108,8 +108,7 @@ def test_patterns_explain_the_traction_that_ends_within_triangles(recording, pro
     case, observation = evaluation.sensitivities[1], evaluation.data.observations[1]
     (moved,) = case.linearization.force_response(change[None])
     error = case.observe(moved) * observation.scale
-    rims = [(numbers, rim.nodes) for numbers, rim in contacts]
-    presses = MeasuredPresses(problem, linearised=evaluation, rims=rims)
+    presses = MeasuredPresses(problem, linearised=evaluation, rims=contacts)
     rims_error = Rims()
     rims_error.smallest = 0.0
     patterns = rims_error.patterns(presses)
@@ -174,11 +173,10 @@ def test_the_traction_of_a_sensor_is_uncertain_at_edges_of_the_body():
     whole = simulate(make_phantom("uniform_cube"), PressPlan(("z+",), (0.01,)), mesh=MESH)
     whole = replace(whole, provenance={})
     loaded = (whole.presses[0].forces != 0.0).any(axis=1)
-    rim = Rim.at_end(MESH, loaded)
+    nodes = loaded_end(MESH, loaded)
     across = np.abs(MESH.points[:, :2] - 5.0).max(axis=1)
-    assert set(rim.nodes) == set(np.flatnonzero(loaded & (across > 4.99)))
-    assert rim.radius_mm == pytest.approx(10.0 / np.sqrt(np.pi))
-    assert Rim.at_end(MESH, np.zeros(MESH.n_points, dtype=bool)) is None
+    assert set(nodes) == set(np.flatnonzero(loaded & (across > 4.99)))
+    assert not len(loaded_end(MESH, np.zeros(MESH.n_points, dtype=bool)))
     on_side = np.flatnonzero(loaded)
     one = np.zeros((1, len(on_side), 3))
     one[0, :, 2] = 1e-3

@@ -31,6 +31,7 @@ from tactorch.inverse.forward.problem import Evaluation, InverseProblem, Moduli,
 from tactorch.inverse.search.sizing import (
     Rim,
     inclusion_sizing,
+    loaded_end,
     observed_sizing,
     sharp_edge_sizing,
     smallest,
@@ -123,13 +124,8 @@ class Correction:
         """The presses on the common mesh."""
         return self.problem.recording
 
-    @property
-    def has_contacts(self) -> bool:
-        """Whether some contact ends within a face."""
-        return any(rim is not None for _, rim in self.contacts)
-
     @cached_property
-    def uncertain(self) -> tuple[tuple[tuple[int, ...], Rim], ...]:
+    def uncertain(self) -> tuple[tuple[tuple[int, ...], Int[np.ndarray, " nodes"]], ...]:
         """Presses of each contact whose traction is uncertain where it ends, and the nodes there.
 
         Where a contact ends within a face, nodal forces do not determine the traction at its rim.
@@ -139,17 +135,19 @@ class Correction:
         for numbers, rim in self.contacts:
             press = self.recording.presses[numbers[0]]
             if press.errors is not None:
-                rim = Rim.at_end(self.recording.mesh, (press.forces != 0.0).any(axis=1))
-            if rim is not None and not rim.of_probe:
-                found.append((numbers, rim))
-        return tuple(found)
+                loaded = (press.forces != 0.0).any(axis=1)
+                found.append((numbers, loaded_end(self.recording.mesh, loaded)))
+            elif rim is not None and not rim.of_probe:
+                found.append((numbers, rim.nodes))
+        return tuple((numbers, nodes) for numbers, nodes in found if len(nodes))
 
     @property
     def has_singular_ends(self) -> bool:
         """Whether the contact of a sensor ends at an edge of the body."""
         mesh, distance = self.recording.mesh, distance_from_sharp_edges(self.recording.mesh)
-        sensors = [r for n, r in self.uncertain if self.recording.presses[n[0]].errors is not None]
-        return any((distance(mesh.points[rim.nodes]) <= _AT_EDGE_MM).any() for rim in sensors)
+        presses = self.recording.presses
+        ends = [nodes for n, nodes in self.uncertain if presses[n[0]].errors is not None]
+        return any((distance(mesh.points[nodes]) <= _AT_EDGE_MM).any() for nodes in ends)
 
     def offsets(
         self, fit: ShapeFit, evaluation: Evaluation, check: Callable[[], None] = lambda: None

@@ -97,7 +97,7 @@ class ShapeProblem(SearchProblem):
             self._correction, presses = correction, replace(
                 presses,
                 corrections_mm=[np.zeros(count) for count in self.full.data.counts],
-                rims=[(numbers, rim.nodes) for numbers, rim in correction.uncertain],
+                rims=correction.uncertain,
                 at_edge=correction.has_singular_ends,
                 kept=correction.kept,
             )  # fmt: skip
@@ -109,10 +109,6 @@ class ShapeProblem(SearchProblem):
         self.prior = ShapePrior.of(recording.mesh, youngs)
         self._floored = noise.floored(recording)
 
-    @property
-    def _has_contacts(self) -> bool:
-        return self._correction is not None and self._correction.has_contacts
-
     def first(self, start: Start) -> Model:
         """Fit the first model of a search with quadratic elements.
 
@@ -120,7 +116,9 @@ class ShapeProblem(SearchProblem):
             ConvergenceError: it has no equilibrium under the recorded forces.
         """
         model = self.fit(start, self._linearise(start))
-        return self.corrected(model) if self._has_contacts else self._linearised(model)
+        contacts = () if self._correction is None else self._correction.contacts
+        ends_within_faces = any(rim is not None for _, rim in contacts)
+        return self.corrected(model) if ends_within_faces else self._linearised(model)
 
     def _linearise(self, start: Start) -> list[Float[np.ndarray, "nodes 3"]]:
         """Compute the effects of the errors about a model, and return its displacements (mm)."""

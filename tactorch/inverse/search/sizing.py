@@ -112,6 +112,14 @@ def refined_at_contacts(recording: Recording) -> Recording:
     return refine_recording(recording, contact_sizing(recording), smooth_tractions=True)
 
 
+def loaded_end(mesh: TetMesh, loaded: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
+    """Return the nodes where the loaded triangles end, within a face or at edges of the body."""
+    triangles = mesh.surface.triangles
+    sides = triangle_edges(triangles[loaded[triangles].all(axis=1)])
+    ends, counts = np.unique(sides, axis=0, return_counts=True)
+    return np.unique(ends[counts == 1])
+
+
 @dataclass(frozen=True, eq=False)
 class Rim:
     """Where the load of a contact ends and the surface goes on.
@@ -154,29 +162,12 @@ class Rim:
         corners = surface.triangles[~inside]
         smooth = np.einsum("tcd,td->tc", normals[corners], surface.normals[~inside]) > _MIN_COSINE
         rim = np.unique(corners[smooth & loaded[corners]])
-        return Rim._of(mesh, rim, inside) if len(rim) else None
-
-    @staticmethod
-    def at_end(mesh: TetMesh, loaded: Bool[np.ndarray, " n"]) -> "Rim | None":
-        """Return the nodes where the loaded triangles end, within a face or at edges of the body.
-
-        None where no triangle is loaded.
-        """
-        surface = mesh.surface
-        inside = loaded[surface.triangles].all(axis=1)
-        if not inside.any():
+        if not len(rim):
             return None
-        sides = triangle_edges(surface.triangles[inside])
-        ends, counts = np.unique(sides, axis=0, return_counts=True)
-        return Rim._of(mesh, np.unique(ends[counts == 1]), inside)
-
-    @staticmethod
-    def _of(mesh: TetMesh, nodes: Int[np.ndarray, " k"], inside: Bool[np.ndarray, " t"]) -> "Rim":
-        radius = float(np.sqrt(mesh.surface.areas[inside].sum() / np.pi))
-        within = mesh.points[mesh.surface.triangles[inside]]
+        radius = float(np.sqrt(surface.areas[inside].sum() / np.pi))
         places = lattice(_PER_TRIANGLE + 1, margin=0.0, corners=3)
-        sampled = np.einsum("sc,tcd->tsd", places, within).reshape(-1, 3)
-        return Rim(nodes, cKDTree(mesh.points[nodes]), cKDTree(sampled), radius)
+        sampled = np.einsum("sc,tcd->tsd", places, mesh.points[surface.triangles[inside]])
+        return Rim(rim, cKDTree(mesh.points[rim]), cKDTree(sampled.reshape(-1, 3)), radius)
 
     def sizing(self, per_radius: float, growth: float, inside: float | None = None) -> Sizing:
         """Return `per_radius` times the radius at the rim, longer with the distance from it.
