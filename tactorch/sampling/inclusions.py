@@ -8,7 +8,7 @@ from typing import Any
 from tactorch.errors import UNCOMPUTABLE, CancelledError, FileError
 from tactorch.files import read_json, write_json
 from tactorch.inverse import Reconstruction, Settings, ShapeReconstruction, invert
-from tactorch.inverse.errors.kept import KeptRims
+from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.result.build import config_of, of_inclusions
 from tactorch.inverse.result.shapes import ShapeState
 from tactorch.inverse.search.draft import DraftShapes

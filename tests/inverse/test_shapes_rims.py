@@ -11,7 +11,7 @@ from tactorch.fem.elements import ELEMENTS
 from tactorch.files import write_json
 from tactorch.inverse import Settings
 from tactorch.inverse.errors import MeasuredPresses
-from tactorch.inverse.errors.kept import KeptRims
+from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.errors.rims import (
     EDGE_DEVIATION,
     Rims,

@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float, Int
 from tactorch.fem import NewtonOptions
 from tactorch.fem.transfer import Transfer
 from tactorch.inverse.data.observations import group_by_contact
-from tactorch.inverse.errors.kept import KeptRims, RimError, press_key
+from tactorch.inverse.errors.base import KeptRims, RimError, press_key
 from tactorch.inverse.fields import InclusionShape, Sites
 from tactorch.inverse.fit.shapes import ShapeFit
 from tactorch.inverse.forward.footprint import loaded_nodes

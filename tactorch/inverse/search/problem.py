@@ -12,7 +12,7 @@ from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions
 from tactorch.inverse.data.observations import Observation, group_by_contact
 from tactorch.inverse.errors import ERRORS, ErrorModel, MeasuredPresses
-from tactorch.inverse.errors.kept import KeptRims
+from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.fields import ShapePrior, Sites
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.shapes import ShapesOnSites

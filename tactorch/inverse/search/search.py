@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tactorch.errors import CancelledError, ConvergenceError
-from tactorch.inverse.errors.kept import KeptRims
+from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.forward.palpation import is_palpation

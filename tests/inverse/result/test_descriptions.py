@@ -12,7 +12,7 @@ import pytest
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.inverse import GaussNewton, Reconstruction, Settings, Status, invert, invert_map
 from tactorch.inverse.data.observations import DataModel, Observation, group_by_contact
-from tactorch.inverse.errors.kept import KeptRims
+from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.forward.predictions import Predictions
 from tactorch.inverse.posterior.shapes import ShapePosterior
