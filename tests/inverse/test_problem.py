@@ -301,10 +301,10 @@ def test_a_chain_of_presses_predicts_the_same(recording: Recording, threads: int
     assert sum(search.lease._solver is not None for search in searches) == threads
 
 
-def test_jacobian_times_each_is_that_of_each(recording: Recording, moduli: np.ndarray) -> None:
+def test_the_linear_response_has_each_change(recording: Recording, moduli: np.ndarray) -> None:
     evaluation = InverseProblem(recording).evaluate(moduli)
     changes = np.random.default_rng(0).normal(size=(3, len(moduli)))
-    found = evaluation.jacobian_times_each(changes)
+    found = evaluation.linear_response(changes)[0]
     for column, change in zip(found.T, changes, strict=True):
         np.testing.assert_allclose(column, evaluation.jacobian_times(change), rtol=1e-9)
 
