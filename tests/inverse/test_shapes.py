@@ -28,7 +28,7 @@ from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.shapes import ShapesOnSites, fit_shapes
 from tactorch.inverse.forward.problem import InverseProblem
 from tactorch.inverse.result.build import of_inclusions
-from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
+from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.inverse.search import correction as correction_module
 from tactorch.inverse.search import find_shapes
 from tactorch.inverse.search.correction import Correction, _LoadSeries
@@ -329,7 +329,7 @@ def test_a_start_that_the_presses_contradict_is_removed(uniform_recording):
 def test_a_background_that_varies_gives_way_to_inclusions(recording, found):
     """A varying background is not kept beside a ball that explains as much."""
     field, z = varied(found.field, found.z, degree=2)
-    start = ShapeState(field, z, {"pose": 0.001})
+    start = Start("before", field, z, {"pose": 0.001})
     result = find_shapes(recording, max_shapes=1, start=start)
     assert result.history[1]["model"] == "uniform background"
     assert result.field.background.degree == 0
@@ -341,7 +341,7 @@ def test_a_search_starts_from_a_uniform_body_rather_than_from_a_background_alone
 ):
     problem = ShapeProblem(uniform_recording, Settings())
     field = ShapeField(problem.prior, background=Background(degree=2))
-    state = ShapeState(field, np.full(field.size, 0.5), {"pose": 0.001})
+    state = Start("before", field, np.full(field.size, 0.5), {"pose": 0.001})
     path = _first(problem, state)
     assert path.history[0]["model"] == "uniform"
     assert path.model.fit.field.background.degree == 0

@@ -21,11 +21,9 @@ from tactorch.inverse.errors.rims import (
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.fit.shapes import fit_shapes
 from tactorch.inverse.forward.problem import InverseProblem
-from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
+from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.inverse.search.correction import Correction
-from tactorch.inverse.search.model import (
-    make_posterior,
-)
+from tactorch.inverse.search.model import Start, make_posterior
 from tactorch.inverse.search.problem import ShapeProblem
 from tactorch.inverse.search.sizing import loaded_end
 from tactorch.mesh import box_mesh
@@ -190,13 +188,13 @@ def test_the_traction_of_a_sensor_is_uncertain_at_edges_of_the_body():
     model = presses.uniform()
     without = presses.data({**model.errors, "rims": 0.0})
     assert without.log_determinant < presses.data(model.errors).log_determinant
-    before = ShapeState(ShapeField(presses.prior), np.zeros(1), {})
+    before = Start("before", ShapeField(presses.prior), np.zeros(1), {})
     assert presses.continued(before).errors == least
 
 
 def test_a_search_starts_from_the_deviation_at_rims_of_another(presses):
     field = ShapeField(presses.prior)
-    model = presses.first(presses.continued(ShapeState(field, np.zeros(1), {"rims": 0.2})))
+    model = presses.first(presses.continued(Start("before", field, np.zeros(1), {"rims": 0.2})))
     assert model.errors == {"discretisation": 0.3, "pose": 0.001, "rims": 0.2}
     assert np.exp(field.physical(model.fit.z)[0]) == pytest.approx(0.2, rel=0.1)
 
