@@ -182,7 +182,6 @@ class Objective:
         nuisance: Nuisance parameters that are estimated too.
         weight: Weight of the prior; None where the optimizer chooses it.
         stable_only: Whether points without derivatives count as points without equilibrium.
-        starts: Displacements from which equilibria start where no evaluation is near, mm.
         strong_contrast: Whether first steps are cut by their limits, so that their misfit is not
             that of the weight of the prior, which then starts higher and is kept.
     """
@@ -192,7 +191,6 @@ class Objective:
     nuisance: NuisancePrior = dataclasses.field(default_factory=NuisancePrior)
     weight: float | None = None
     stable_only: bool = False
-    starts: Sequence[np.ndarray] | None = None
     strong_contrast: bool = False
 
     @property
@@ -248,8 +246,6 @@ class Objective:
         field = self.field.at(x[:m])
         nuisance = self.nuisance.nuisance(x[m:], self.problem.assumed)
         before = None if near is None else near.evaluation
-        if starts is None and near is None:
-            starts = self.starts
         evaluation = self.problem.evaluate(field.youngs, before, nuisance, take_over, starts=starts)
         if self.stable_only:
             evaluation.factor()
