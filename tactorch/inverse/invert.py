@@ -184,7 +184,7 @@ def better_of(
 def _held_out_score(point: Point, weight: float) -> float | None:
     """Return the score of an element map."""
     posterior, evaluation = LaplacePosterior.at(point, weight), point.evaluation
-    contacts = contacts_of(point.objective.problem.recording, evaluation.data.observations)
+    contacts = contacts_of(point.objective.problem.recording)
     covariance = posterior.factor.inverse()
     return held_out_score(
         evaluation.data, contacts, evaluation.residuals, posterior.jacobian, covariance

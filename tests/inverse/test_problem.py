@@ -465,9 +465,7 @@ def test_presses_of_one_contact_differ_by_a_factor(recording: Recording) -> None
     oblique = replace(press, forces=press.forces + np.abs(press.forces[:, [2, 0, 1]]))
     softer = replace(press, springs=0.5 * press.springs)
     presses = (press, stronger, masked, oblique, softer)
-    observations = [Observation.of(p, 0.01) for p in presses]
-    contacts = group_by_contact(presses, observations)
-    assert contacts == [(0, 1), (2,), (3,), (4,)]
+    assert group_by_contact(presses) == [(0, 1), (2,), (3,), (4,)]
 
 
 def test_other_statistics_of_the_same_data(recording: Recording, moduli: np.ndarray) -> None:

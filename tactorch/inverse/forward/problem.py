@@ -113,7 +113,9 @@ class Evaluation:
     @property
     def misfit_mm2(self) -> float:
         """Half the sum of squared differences of displacements (eq. 7), mm^2."""
-        return 0.5 * float((self._difference[self.data.are_displacements] ** 2).sum())
+        parts = np.split(self._difference, self._begins[1:])
+        pairs = zip(parts, self.data.observations, strict=True)
+        return 0.5 * sum(float((part[data.units[0]] ** 2).sum()) for part, data in pairs)
 
     @property
     def chi2(self) -> float:

@@ -115,7 +115,7 @@ class Correction:
         """Return the correction for the contacts of a problem."""
         recording = problem.recording
         pairs = []
-        for numbers in group_by_contact(recording.presses, problem.data.observations):
+        for numbers in group_by_contact(recording.presses):
             pairs.append((numbers, Rim.of(recording.presses[numbers[0]], recording.mesh)))
         return Correction(problem, tuple(pairs), kept or KeptRims())
 

@@ -199,7 +199,7 @@ def with_predictions(
     The model may be on a refinement of the recording's mesh.
     """
     fit, data = model.fit, model.evaluation.data
-    contacts = contacts_of(recording, data.observations)
+    contacts = contacts_of(recording)
     score = held_out_score(data, contacts, fit.residuals, fit.jacobian, fit.covariance)
     predictions = Predictions.of(model.evaluation, recording)
     return replace(result, predictions=predictions, held_out=score)

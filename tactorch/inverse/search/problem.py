@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions
-from tactorch.inverse.data.observations import Observation, group_by_contact
+from tactorch.inverse.data.observations import group_by_contact
 from tactorch.inverse.errors import ERRORS, ErrorModel, MeasuredPresses
 from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.fields import ShapePrior, Sites
@@ -74,8 +74,7 @@ class ShapeProblem(SearchProblem):
         if same:
             element = str(recording.provenance.get("element", settings.element))
         newton = NewtonOptions(rtol=max(settings.newton.rtol, _RTOL))
-        unscaled = [Observation.of(press, 1.0) for press in recording.presses]
-        contacts, noise = group_by_contact(recording.presses, unscaled), settings.noise
+        contacts, noise = group_by_contact(recording.presses), settings.noise
         if not same:
             floor = _DISCRETISATION * np.sqrt(len(recording.presses) / len(contacts))
             noise = replace(noise, relative=max(noise.relative, float(floor)))
