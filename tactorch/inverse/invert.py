@@ -419,11 +419,6 @@ def compute_posterior(
     It is `variational_posterior` under total variation up to 2,000 parameters, otherwise
     `LaplacePosterior` up to 12,000, and `LowRankPosterior` beyond.
 
-    Args:
-        recording: Presses that were inverted.
-        reconstruction: Result of `invert`.
-        settings: Settings of the inversion.
-
     Raises:
         ConfigError: settings and result do not match, or data and prior leave moduli undetermined.
         ConvergenceError: a press has no stable equilibrium at the map.

@@ -157,10 +157,8 @@ class Correction:
         Those of the smallest and largest load of each contact are computed, and interpolated for
         the others.
 
-        Args:
-            fit: Model.
-            evaluation: Its predictions on the common mesh.
-            check: Called before each mesh and each equilibrium; what it raises ends the correction.
+        The evaluation is that of the fit on the common mesh. `check` is called before each mesh and
+        each equilibrium; what it raises ends the correction.
 
         Raises:
             ConvergenceError: a press has no equilibrium on its finer mesh.

@@ -48,12 +48,8 @@ _RTOL = 1e-5  # of equilibria: errors of data below a thousandth of their deviat
 class ShapeProblem(SearchProblem):
     """The presses with quadratic elements and with linear ones; see `SearchProblem`.
 
-    Args:
-        recording: The presses.
-        settings: Noise, solver, bounds and equilibrium search are used.
-        stop: See `SearchProblem`.
-        kept: Errors at rims of an earlier search on fewer presses; those of others are added.
-        max_shapes: Largest number of inclusions.
+    Noise, solver, bounds and equilibrium search of the settings are used. Errors at rims are added
+    to those `kept` of an earlier search on fewer presses.
 
     Attributes:
         linear: The presses with linear elements.

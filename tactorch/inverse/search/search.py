@@ -148,12 +148,8 @@ def search(
 ) -> tuple[Model, ShapeReconstruction]:
     """Accept models of more evidence until there is none; return the last one, and the result.
 
-    Args:
-        problem: The presses.
-        limit: Limit of the time, see `improve`.
-        start: See `find_shapes`.
-        update: Called with what is done next.
-        before: Search on a part of the presses, from whose model this one starts.
+    `update` is called with what is done next. The search starts from the model of the one `before`,
+    on a part of the presses, or from `start`, see `find_shapes`.
     """
     path = _accept_models(problem, limit, start, update, before)
     with path.kept():

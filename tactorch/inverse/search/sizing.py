@@ -46,12 +46,7 @@ def observed_sizing(
 ) -> Sizing | None:
     """Return the longest edges (mm) at points (mm): short where the surface is near inclusions.
 
-    Args:
-        observed: Observed points of the surface, mm.
-        inclusions: Inclusions of the model.
-
-    Returns:
-        The longest edges; None where no inclusion is near.
+    `observed` are its observed points, mm. None where no inclusion is near.
     """
     gaps, near = np.full(len(observed), np.inf), np.zeros(len(observed), dtype=bool)
     for shape in inclusions:
