@@ -35,7 +35,7 @@ from true_cases import OBJECTS, PRESSES, Body, Case, Contact, Presses, Truth, ma
 
 from tactorch.errors import TactorchError
 from tactorch.inverse import InverseProblem, Settings, find_shapes
-from tactorch.inverse.errors.kept import KeptRims
+from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction

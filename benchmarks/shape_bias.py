@@ -103,7 +103,7 @@ def run(case: Case, cache: Path | None) -> dict[str, Any]:
     problem = InverseProblem(clean, element=_ELEMENT)
     field, z = _truth(case, ShapePrior.of(noisy.mesh, float(case.body.phantom.youngs_mpa)))
     fit, evaluation = fit_shapes(problem, field, z, max_iterations=0)
-    offsets = Correction.of(problem, _ELEMENT, "auto").offsets(fit, evaluation)
+    offsets = Correction.of(problem).offsets(fit, evaluation)
     jacobian = fit.jacobian / field.deviation
     covariance = np.linalg.inv(jacobian.T @ jacobian)
     with_noise = InverseProblem(noisy, body=problem.body).data

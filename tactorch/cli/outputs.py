@@ -18,6 +18,7 @@ from tactorch.inverse import (
     compute_posterior,
     find_lump,
 )
+from tactorch.inverse.data.plain import to_plain
 from tactorch.inverse.result.text import describe
 from tactorch.mesh import TetMesh
 from tactorch.metrics import scores
@@ -124,7 +125,7 @@ def summarise(recording: Recording, result: Reconstruction, source: str) -> dict
         "presses": len(recording.presses),
         "finding": result.plain(),
         "regions": region_moduli(recording.mesh, result.youngs),
-        "nuisance": {name: found.plain() for name, found in result.nuisance.items()},
+        "nuisance": to_plain(result.nuisance),
     }
     if result.shapes is None:
         summary["evaluations"] = result.history[-1]["evaluations"]

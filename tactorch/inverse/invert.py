@@ -184,7 +184,7 @@ def better_of(
 def _held_out_score(point: Point, weight: float) -> float | None:
     """Return the score of an element map."""
     posterior, evaluation = LaplacePosterior.at(point, weight), point.evaluation
-    contacts = contacts_of(point.objective.problem.recording, evaluation.data.observations)
+    contacts = contacts_of(point.objective.problem.recording)
     covariance = posterior.factor.inverse()
     return held_out_score(
         evaluation.data, contacts, evaluation.residuals, posterior.jacobian, covariance
@@ -418,11 +418,6 @@ def compute_posterior(
 
     It is `variational_posterior` under total variation up to 2,000 parameters, otherwise
     `LaplacePosterior` up to 12,000, and `LowRankPosterior` beyond.
-
-    Args:
-        recording: Presses that were inverted.
-        reconstruction: Result of `invert`.
-        settings: Settings of the inversion.
 
     Raises:
         ConfigError: settings and result do not match, or data and prior leave moduli undetermined.

@@ -12,16 +12,15 @@ first proposal of importance sampling, with an equilibrium of each press for eac
 """
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.inverse.data.plain import to_plain
 from tactorch.inverse.fields import ShapeField
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.shapes import ShapesOnSites, fit_shapes
@@ -132,18 +131,6 @@ class ShapeSamples:
             others = (values.radius_mm, values.youngs_mpa, values.contrast)
             found.append(ShapeIntervals((x, y, z), *map(interval, others)))
         return found
-
-    def plain(self) -> dict[str, Any]:
-        """Return plain JSON values; the inverse of `of`."""
-        logs = [log if np.isfinite(log) else None for log in self.log_weights.tolist()]
-        values = {"z": self.z, "log_weights": logs, "order": self.order}
-        return self.field.plain() | to_plain(values)
-
-    @staticmethod
-    def of(plain: Mapping[str, Any]) -> "ShapeSamples":
-        """Return the samples from plain JSON values."""
-        logs = np.array([-np.inf if log is None else log for log in plain["log_weights"]])
-        return ShapeSamples(ShapeField.of(plain), np.array(plain["z"]), logs, tuple(plain["order"]))
 
 
 def sample_shapes(

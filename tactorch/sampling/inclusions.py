@@ -8,10 +8,10 @@ from typing import Any
 from tactorch.errors import UNCOMPUTABLE, CancelledError, FileError
 from tactorch.files import read_json, write_json
 from tactorch.inverse import Reconstruction, Settings, ShapeReconstruction, invert
-from tactorch.inverse.errors.kept import KeptRims
+from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.result.build import config_of, of_inclusions
-from tactorch.inverse.result.shapes import ShapeState
 from tactorch.inverse.search.draft import DraftShapes
+from tactorch.inverse.search.model import Start
 from tactorch.recording import Recording
 
 SHAPES = "shapes.json"  # the inclusions that were fitted last, and to how many presses
@@ -36,7 +36,7 @@ class InclusionSearch:
         self._settings, self._kept = replace(settings, method="inclusions"), KeptRims()
         self._path = None if folder is None else Path(folder) / SHAPES
         self._last: tuple[Reconstruction, int] | None = None  # of inclusions, and how many presses
-        self._reached: ShapeState | None = None  # by a search that was stopped
+        self._reached: Start | None = None  # by a search that was stopped
 
     def present(self, recording: Recording, elements: Reconstruction) -> tuple[Reconstruction, int]:
         """Return the result before a search, and the number of presses that it is of.

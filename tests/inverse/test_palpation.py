@@ -148,13 +148,13 @@ def test_derivatives_agree_with_differences_and_with_each_other(with_lump: Recor
     assert along == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=0.02, abs=0.02)
     assert weights @ along == pytest.approx(evaluation.transpose_times(weights) @ change, rel=1e-4)
     assert evaluation.jacobian() @ change == pytest.approx(along, rel=1e-3, abs=1e-3)
-    assert evaluation.jacobian_times_each(change[None])[:, 0] == pytest.approx(
+    assert evaluation.linear_response(change[None])[0][:, 0] == pytest.approx(
         along, rel=1e-3, abs=1e-3
     )
     points = np.repeat(youngs[:, None], 4, axis=1)
     by_point = problem.evaluate(points)
     assert by_point.residuals == pytest.approx(evaluation.residuals, rel=1e-3, abs=1e-3)
-    each = by_point.jacobian_times_each(np.repeat(change[:, None], 4, axis=1).reshape(1, -1))
+    each, _ = by_point.linear_response(np.repeat(change[:, None], 4, axis=1).reshape(1, -1))
     assert each[:, 0] == pytest.approx(along, rel=1e-3, abs=1e-3)
 
 

@@ -10,7 +10,7 @@ from tactorch.fem import NewtonOptions
 from tactorch.fem.contact import Ball, FlatPunch
 from tactorch.inverse import IncrementalInversion, InverseProblem, NoiseModel, find_shapes
 from tactorch.inverse.data.nuisance import NuisancePrior
-from tactorch.inverse.data.observations import Observation, group_by_contact
+from tactorch.inverse.data.observations import group_by_contact
 from tactorch.inverse.errors import MeasuredPresses
 from tactorch.inverse.errors.forces import Forces
 from tactorch.inverse.errors.pose import Pose
@@ -251,10 +251,8 @@ def test_steps_that_differ_by_their_data_are_one_contact(recording: Recording) -
     first = replace(_seen(), probe=None, force=None, forces=forces)
     other = replace(SURFACE, displacement_mm=np.array([0.2, 0.2]))
     second = replace(first, forces=2.0 * forces, surface=other)
-    observations = [Observation.of(press, 0.01) for press in (first, second)]
-    assert group_by_contact((first, second), observations) == [(0, 1)]
-    observations = [Observation.of(press, 0.01) for press in recording.presses[:2]]
-    assert len(group_by_contact(recording.presses[:2], observations)) == 2  # other depths
+    assert group_by_contact((first, second)) == [(0, 1)]
+    assert len(group_by_contact(recording.presses[:2])) == 2  # other depths
 
 
 def test_a_probe_between_the_nodes_has_a_footprint() -> None:

@@ -60,7 +60,7 @@ def test_the_error_under_a_finger_is_corrected():
     exact = fine.evaluate(np.full(fine.recording.mesh.n_tets, 0.2))
     problem = InverseProblem(_recording(mesh, under), element="tet10")
     fit, coarse = fit_shapes(problem, field, np.zeros(1), max_iterations=0)
-    (offset,) = Correction.of(problem, "tet10", "auto").offsets(fit, coarse)
+    (offset,) = Correction.of(problem).offsets(fit, coarse)
     error = (exact.reported[0][under] - coarse.reported[0][under]).ravel()
     assert np.linalg.norm(error) > 0.005 * np.linalg.norm(exact.reported[0][under])
     assert np.linalg.norm(error - offset) < 0.25 * np.linalg.norm(error)

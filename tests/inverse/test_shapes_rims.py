@@ -11,7 +11,7 @@ from tactorch.fem.elements import ELEMENTS
 from tactorch.files import write_json
 from tactorch.inverse import Settings
 from tactorch.inverse.errors import MeasuredPresses
-from tactorch.inverse.errors.kept import KeptRims
+from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.errors.rims import (
     EDGE_DEVIATION,
     Rims,
@@ -21,13 +21,11 @@ from tactorch.inverse.errors.rims import (
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.fit.shapes import fit_shapes
 from tactorch.inverse.forward.problem import InverseProblem
-from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
+from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.inverse.search.correction import Correction
-from tactorch.inverse.search.model import (
-    make_posterior,
-)
+from tactorch.inverse.search.model import Start, make_posterior
 from tactorch.inverse.search.problem import ShapeProblem
-from tactorch.inverse.search.sizing import Rim
+from tactorch.inverse.search.sizing import loaded_end
 from tactorch.mesh import box_mesh
 from tactorch.mesh.tractions import LoadedSurface
 from tactorch.phantoms import make_phantom
@@ -75,7 +73,7 @@ def evaluation(problem):
 
 
 def test_edges_are_those_beside_the_rim(recording, problem):
-    ((_, rim),) = Correction.of(problem, "tet10", "auto").contacts
+    ((_, rim),) = Correction.of(problem).contacts
     forces = recording.presses[0].forces
     loaded = LoadedSurface.of(MESH.surface, forces)
     ends, areas = rim_edges(loaded, rim.nodes)
@@ -101,15 +99,14 @@ def test_loads_have_no_integrals_over_hat_functions():
 
 def test_patterns_explain_the_traction_that_ends_within_triangles(recording, problem, evaluation):
     """A uniform pressure on the disc, and the traction that its nodal forces stand for."""
-    contacts = Correction.of(problem, "tet10", "auto").uncertain
+    contacts = Correction.of(problem).uncertain
     discretisation = problem.body.discretisation
     exact = 0.01 * patch_forces(discretisation, PressSite("z+", (5.0, 5.0, 10.0)), RADIUS_MM)
     change = exact - discretisation.consistent_loads(recording.presses[1].forces)
     case, observation = evaluation.sensitivities[1], evaluation.data.observations[1]
     (moved,) = case.linearization.force_response(change[None])
     error = case.observe(moved) * observation.scale
-    rims = [(numbers, rim.nodes) for numbers, rim in contacts]
-    presses = MeasuredPresses(problem, linearised=evaluation, rims=rims)
+    presses = MeasuredPresses(problem, linearised=evaluation, rims=contacts)
     rims_error = Rims()
     rims_error.smallest = 0.0
     patterns = rims_error.patterns(presses)
@@ -143,7 +140,7 @@ def test_errors_at_rims_are_kept_while_the_moduli_there_remain(recording, proble
         z = field.standard(np.array(values))
         fit, before = fit_shapes(problem, field, z, max_iterations=0)
         # A correction of a later search, which shares what is kept.
-        offsets = Correction.of(problem, "tet10", "auto", kept).offsets(fit, before)
+        offsets = Correction.of(problem, kept).offsets(fit, before)
         return pytest.approx(offsets[1][0])
 
     assert last_change(np.log(0.2)) == 1.0
@@ -174,11 +171,10 @@ def test_the_traction_of_a_sensor_is_uncertain_at_edges_of_the_body():
     whole = simulate(make_phantom("uniform_cube"), PressPlan(("z+",), (0.01,)), mesh=MESH)
     whole = replace(whole, provenance={})
     loaded = (whole.presses[0].forces != 0.0).any(axis=1)
-    rim = Rim.at_end(MESH, loaded)
+    nodes = loaded_end(MESH, loaded)
     across = np.abs(MESH.points[:, :2] - 5.0).max(axis=1)
-    assert set(rim.nodes) == set(np.flatnonzero(loaded & (across > 4.99)))
-    assert rim.radius_mm == pytest.approx(10.0 / np.sqrt(np.pi))
-    assert Rim.at_end(MESH, np.zeros(MESH.n_points, dtype=bool)) is None
+    assert set(nodes) == set(np.flatnonzero(loaded & (across > 4.99)))
+    assert not len(loaded_end(MESH, np.zeros(MESH.n_points, dtype=bool)))
     on_side = np.flatnonzero(loaded)
     one = np.zeros((1, len(on_side), 3))
     one[0, :, 2] = 1e-3
@@ -192,13 +188,13 @@ def test_the_traction_of_a_sensor_is_uncertain_at_edges_of_the_body():
     model = presses.uniform()
     without = presses.data({**model.errors, "rims": 0.0})
     assert without.log_determinant < presses.data(model.errors).log_determinant
-    before = ShapeState(ShapeField(presses.prior), np.zeros(1), {})
+    before = Start("before", ShapeField(presses.prior), np.zeros(1), {})
     assert presses.continued(before).errors == least
 
 
 def test_a_search_starts_from_the_deviation_at_rims_of_another(presses):
     field = ShapeField(presses.prior)
-    model = presses.first(presses.continued(ShapeState(field, np.zeros(1), {"rims": 0.2})))
+    model = presses.first(presses.continued(Start("before", field, np.zeros(1), {"rims": 0.2})))
     assert model.errors == {"discretisation": 0.3, "pose": 0.001, "rims": 0.2}
     assert np.exp(field.physical(model.fit.z)[0]) == pytest.approx(0.2, rel=0.1)
 

@@ -12,7 +12,7 @@ import pytest
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.files import read_arrays, write_arrays
 from tactorch.inverse import Settings, Status
-from tactorch.inverse.errors.kept import KeptRims
+from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction

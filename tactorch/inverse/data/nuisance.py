@@ -10,7 +10,6 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from tactorch.config import Options, option
-from tactorch.inverse.data.plain import to_plain
 from tactorch.mesh import TetMesh
 from tactorch.recording import Press
 
@@ -159,10 +158,6 @@ class NuisanceEstimate:
         """Return the components with their standard deviations as text."""
         pairs = zip(np.atleast_1d(self.value), np.atleast_1d(self.deviation), strict=True)
         return ", ".join(f"{value:.3g} (standard deviation {dev:.2g})" for value, dev in pairs)
-
-    def plain(self) -> dict[str, Any]:
-        """Return the estimate as plain JSON values."""
-        return to_plain(self)
 
 
 @dataclass(frozen=True, eq=False)

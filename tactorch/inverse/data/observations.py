@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.inverse.data.misfit import NORMAL_MEDIAN, Misfit, Squares
-from tactorch.recording import ForceReading, Press, Recording, SurfaceReading
+from tactorch.recording import ForceReading, Press, Recording
 
 
 @dataclass(frozen=True)
@@ -161,14 +161,12 @@ class Observation:
         values: Displacements (mm) of these, then those along directions at points of the surface,
             then components of force (N) and moment (N mm).
         scale: Weight over standard deviation, 1 over the unit of each.
-        surface: Displacements along directions, or None.
         force: Components of force and moment, or None.
     """
 
     index: Int[np.ndarray, " p"]
     values: Float[np.ndarray, " data"]
     scale: Float[np.ndarray, " data"]
-    surface: SurfaceReading | None = None
     force: ForceReading | None = None
 
     @staticmethod
@@ -184,8 +182,7 @@ class Observation:
         if press.force is not None:
             values.append(press.force.values)
             scales.append(1.0 / press.force.deviations)
-        readings = press.surface, press.force
-        return Observation(index, np.concatenate(values), np.concatenate(scales), *readings)
+        return Observation(index, np.concatenate(values), np.concatenate(scales), press.force)
 
     @property
     def units(self) -> tuple[slice, slice]:
@@ -224,12 +221,6 @@ class DataModel:
     def values(self) -> Float[np.ndarray, " data"]:
         """All data, in their units."""
         return np.concatenate([observation.values for observation in self.observations])
-
-    @cached_property
-    def are_displacements(self) -> Bool[np.ndarray, " data"]:
-        """Whether each datum is a displacement (mm), rather than a force or moment."""
-        parts = [np.arange(len(o.values)) < o.units[0].stop for o in self.observations]
-        return np.concatenate(parts)
 
     @cached_property
     def scale(self) -> Float[np.ndarray, " data"]:
@@ -275,18 +266,16 @@ class DataModel:
         return replace(self, observations=observations)
 
 
-def group_by_contact(
-    presses: Sequence[Press], observations: Sequence[Observation]
-) -> list[tuple[int, ...]]:
+def group_by_contact(presses: Sequence[Press]) -> list[tuple[int, ...]]:
     """Return the numbers of the presses of each contact.
 
     Presses of one contact have the same supports, the same observed degrees of freedom, and forces
     and prescribed displacements that differ by a factor only.
     """
     contacts: dict[tuple[bytes, ...], list[int]] = {}
-    for i, (press, observation) in enumerate(zip(presses, observations, strict=True)):
+    for i, press in enumerate(presses):
         loads = [_direction(press.forces), _direction(press.prescribed)]
-        values = (*loads, press.fixed, press.springs, observation.index)
+        values = (*loads, press.fixed, press.springs, Observation.of(press, 1.0).index)
         key = (*(array.tobytes() for array in values), press.geometry_bytes())
         contacts.setdefault(key, []).append(i)
     return [tuple(numbers) for numbers in contacts.values()]

@@ -13,8 +13,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tactorch.fem.elements import Discretisation
-from tactorch.inverse.errors.base import LEAST_CHANGE, ErrorSource, MeasuredPresses, principal
-from tactorch.inverse.errors.kept import press_key
+from tactorch.inverse.errors.base import (
+    LEAST_CHANGE,
+    ErrorSource,
+    MeasuredPresses,
+    press_key,
+    principal,
+)
 from tactorch.inverse.forward.problem import Evaluation
 from tactorch.linalg import map_cases
 from tactorch.mesh.topology import triangle_edges

@@ -8,7 +8,6 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
 
-from tactorch.errors import ConfigError
 from tactorch.inverse.fields.parameterization import Parameterization
 from tactorch.inverse.fields.regularization.base import Regularizer
 from tactorch.inverse.forward.problem import Evaluation, Moduli
@@ -42,18 +41,6 @@ class FieldPoint(ABC):
     @abstractmethod
     def jacobian(self, evaluation: Evaluation) -> Float[np.ndarray, "data size"]:
         """Return d residuals / d x."""
-
-    def second_derivative_times(
-        self, weights: Moduli, change: Vector
-    ) -> Vector:  # pragma: no cover
-        """Return the sum of d^2 youngs / d x^2 times weights, times a change of x.
-
-        Raises:
-            ConfigError: the field has no second derivative.
-        """
-        raise ConfigError(
-            f"{type(self).__name__} has no second derivative; use the Gauss-Newton Hessian."
-        )
 
 
 class ModulusField(ABC):
@@ -158,6 +145,3 @@ class _ElementPoint(FieldPoint):
             return evaluation.jacobian() * self._slope
         changes = (self.youngs_change(unit) for unit in np.eye(self.field.size))
         return np.column_stack([evaluation.jacobian_times(change) for change in changes])
-
-    def second_derivative_times(self, weights: Moduli, change: Vector) -> Vector:
-        return self.field.parameterization.second_derivative(self.x) * weights * change

@@ -19,7 +19,6 @@ from tactorch.config import Registry
 from tactorch.inverse.fields.inclusion import (
     CENTER,
     COMMON,
-    SIZE,
     Candidate,
     InclusionShape,
     Parameters,
@@ -71,9 +70,6 @@ class Family(ABC):
             parameters that both have.
         judged_as: Name of the family by which the posterior is computed: the data that make a ball
             the most probable model do not exclude an ellipsoid.
-        linear: Names of log-radius and log-contrast, on whose squared radius and strength the data
-            depend nearly linearly (see `tactorch.inverse.fields.strength`); empty if there is no
-            such pair.
     """
 
     name: str
@@ -84,7 +80,6 @@ class Family(ABC):
     curvature: float = 1.0
     special: tuple[str, ...] = ()
     judged_as: str
-    linear: tuple[str, ...] = SIZE
 
     @cached_property
     def parameters(self) -> tuple[str, ...]:

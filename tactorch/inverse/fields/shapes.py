@@ -16,7 +16,7 @@ from tactorch.inverse.fields import strength
 from tactorch.inverse.fields.background import Background
 from tactorch.inverse.fields.base import Vector
 from tactorch.inverse.fields.family import FAMILIES, Family
-from tactorch.inverse.fields.inclusion import InclusionShape, Parameters
+from tactorch.inverse.fields.inclusion import SIZE, InclusionShape, Parameters
 from tactorch.inverse.fields.prior import ShapePrior
 from tactorch.inverse.fields.sites import Sites
 
@@ -108,9 +108,12 @@ class ShapeField:
 
     @property
     def linear(self) -> list[Int[np.ndarray, "2"]]:
-        """Places of log-radius and log-contrast of the inclusions, see `Family.linear`."""
-        pairs = enumerate(self.families)
-        return [self.index(k, *family.linear) for k, family in pairs if family.linear]
+        """Places of log-radius and log-contrast of the inclusions.
+
+        The data depend nearly linearly on squared radius and strength, see
+        `tactorch.inverse.fields.strength`.
+        """
+        return [self.index(k, *SIZE) for k in range(len(self.families))]
 
     def own(self, values: Float[np.ndarray, "*k size"], inclusion: int) -> Parameters:
         """Return the parameters of an inclusion from all, in mm and logarithms."""

@@ -1,5 +1,6 @@
 """Monitor of an optimizer: history, progress line, checkpoints, and reasons to stop."""
 
+import json
 import logging
 import time
 from collections.abc import Callable, Mapping
@@ -13,10 +14,10 @@ from jaxtyping import Float
 
 from tactorch.errors import ConvergenceError, FileError
 from tactorch.files import read_arrays, write_arrays
+from tactorch.inverse.data.plain import to_plain
 from tactorch.inverse.fit.objective import Point
 
 _log = logging.getLogger(__name__)
-_COUNTS = ("iteration", "evaluations")  # whole numbers of a record
 _CHECKPOINT_PERIOD = 1.0  # s: loss if the process is killed
 
 
@@ -178,41 +179,21 @@ class Monitor:
         self._saved = time.perf_counter()
         if self.checkpoint is None or self.best is None:
             return
-        names = sorted({key for entry in self.history for key in entry})
-        table = [[entry.get(name, np.nan) for name in names] for entry in self.history]
-        content = {
-            "x": self.best,
-            "seconds": self.seconds,
-            "history": np.array(table, dtype=np.float64),
-            "history_names": np.array(names),
-            "state": np.array(list(self.state.values()), dtype=np.float64),
-            "state_names": np.array(list(self.state), dtype=str),
-            "identity": np.array(list(self.identity.values()), dtype=str),
-            "identity_names": np.array(list(self.identity), dtype=str),
-            "task": self.task,
-            "ended": self.ended or "",
-        }
-        write_arrays(self.checkpoint, content)
+        names = ("seconds", "history", "state", "identity", "task", "ended")
+        run = {name: to_plain(getattr(self, name)) for name in names}
+        write_arrays(self.checkpoint, {"x": self.best, "run": json.dumps(run)})
 
     def restore(self, path: Path, size: int) -> None:
         """Continue from a checkpoint of the same problem, with this number of parameters."""
         remedy = "start again without resume."
         saved = read_arrays(path, "checkpoint", remedy)
-
-        def table(name: str) -> dict[str, Any]:
-            keys, values = saved[f"{name}_names"].tolist(), saved[name].tolist()
-            return dict(zip(keys, values, strict=True))
-
         try:
-            names = saved["history_names"].tolist()
-            for row in saved["history"].tolist():
-                entry = {k: v for k, v in zip(names, row, strict=True) if not np.isnan(v)}
-                self.history.append(entry | {k: int(entry[k]) for k in _COUNTS})
-            self.state, identity = table("state"), table("identity")
-            self.best, self._earlier_seconds = saved["x"], float(saved["seconds"])
-            if str(saved.get("task")) == self.task:
-                self.ended = str(saved["ended"]) or None
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            run = json.loads(str(saved["run"]))
+            self.history, self.state, identity = run["history"], run["state"], run["identity"]
+            self.best, self._earlier_seconds = saved["x"], float(run["seconds"])
+            if run["task"] == self.task:
+                self.ended = run["ended"]
+        except (ValueError, KeyError, TypeError) as error:
             raise FileError(f"checkpoint '{path}' cannot be read ({error}); {remedy}") from error
         if self.best.shape != (size,):
             raise FileError(

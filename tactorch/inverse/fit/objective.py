@@ -121,10 +121,15 @@ class Point:
         """Return the part of the misfit's Hessian that Gauss-Newton omits times a change of x.
 
         It needs a coefficient for each element, and no nuisance parameters.
+
+        Raises:
+            ConfigError: the field has not one modulus per element.
         """
+        parameterization = self.objective.elements.parameterization
         by_youngs = self.evaluation.second_order_times(self.field.youngs_change(change))
         inner = self.field.transpose_times(by_youngs)
-        return inner + self.field.second_derivative_times(self._youngs_gradient, change)
+        second = parameterization.second_derivative(self.coefficients)
+        return inner + second * self._youngs_gradient * change
 
     def value(self, weight: float) -> float:
         """Return the objective with this weight of the prior."""
@@ -177,7 +182,6 @@ class Objective:
         nuisance: Nuisance parameters that are estimated too.
         weight: Weight of the prior; None where the optimizer chooses it.
         stable_only: Whether points without derivatives count as points without equilibrium.
-        starts: Displacements from which equilibria start where no evaluation is near, mm.
         strong_contrast: Whether first steps are cut by their limits, so that their misfit is not
             that of the weight of the prior, which then starts higher and is kept.
     """
@@ -187,7 +191,6 @@ class Objective:
     nuisance: NuisancePrior = dataclasses.field(default_factory=NuisancePrior)
     weight: float | None = None
     stable_only: bool = False
-    starts: Sequence[np.ndarray] | None = None
     strong_contrast: bool = False
 
     @property
@@ -243,8 +246,6 @@ class Objective:
         field = self.field.at(x[:m])
         nuisance = self.nuisance.nuisance(x[m:], self.problem.assumed)
         before = None if near is None else near.evaluation
-        if starts is None and near is None:
-            starts = self.starts
         evaluation = self.problem.evaluate(field.youngs, before, nuisance, take_over, starts=starts)
         if self.stable_only:
             evaluation.factor()

@@ -113,7 +113,7 @@ class _ShapesPoint(FieldPoint):
         return np.ascontiguousarray(self._derivative.T)
 
     def jacobian(self, evaluation: Evaluation) -> Float[np.ndarray, "data size"]:
-        return evaluation.jacobian_times_each(self.changes)
+        return evaluation.linear_response(self.changes)[0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -217,13 +217,8 @@ def fit_groups(
     """Return the map of one modulus for each group of elements that fits best, MPa.
 
     Groups that share faces are expected to have similar moduli; this decides where the presses
-    do not.
-
-    Args:
-        problem: Presses.
-        bounds: Limits of the moduli.
-        labels: Group of each element, numbered from 0 without gaps.
-        steps: Limit of Gauss-Newton steps.
+    do not. Labels are the group of each element, numbered from 0 without gaps; `steps` is the limit
+    of Gauss-Newton steps.
     """
     mesh = problem.recording.mesh
     # The prior's matrix is the Laplacian of the graph of groups that share a face.

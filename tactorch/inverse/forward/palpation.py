@@ -23,7 +23,6 @@ from tactorch.fem.indentation import BallForces, BallPlace, Indentation, Indente
 from tactorch.inverse.data.observations import (
     CorrelatedNoise,
     DataModel,
-    Observation,
     group_by_contact,
 )
 from tactorch.inverse.forward.problem import (
@@ -252,10 +251,10 @@ class PalpationProblem(InverseProblem):
         return PalpationEvaluation(self, body, body.press(self.places, self.depths_mm), self.data)
 
 
-def contacts_of(recording: Recording, observations: Sequence[Observation]) -> list[tuple[int, ...]]:
+def contacts_of(recording: Recording) -> list[tuple[int, ...]]:
     """Return the numbers of the presses of each contact, or of each place of a palpation."""
     if not is_palpation(recording):
-        return group_by_contact(recording.presses, observations)
+        return group_by_contact(recording.presses)
     places, first = group_places([press.probe for press in recording.presses if press.probe])
     return [tuple(np.flatnonzero(places == place).tolist()) for place in range(len(first))]
 

@@ -113,7 +113,9 @@ class Evaluation:
     @property
     def misfit_mm2(self) -> float:
         """Half the sum of squared differences of displacements (eq. 7), mm^2."""
-        return 0.5 * float((self._difference[self.data.are_displacements] ** 2).sum())
+        parts = np.split(self._difference, self._begins[1:])
+        pairs = zip(parts, self.data.observations, strict=True)
+        return 0.5 * sum(float((part[data.units[0]] ** 2).sum()) for part, data in pairs)
 
     @property
     def chi2(self) -> float:
@@ -243,18 +245,17 @@ class Evaluation:
 
     def jacobian_times(self, change: Moduli) -> Float[np.ndarray, " data"]:
         """Return the change of the residuals by a change of the moduli (MPa)."""
-        cases, data = self.sensitivities, self.data.observations
-        return self._join(map_cases(lambda i: cases[i].times(change) * data[i].scale, len(cases)))
-
-    def jacobian_times_each(self, changes: Changes) -> Columns:
-        """Return the change of the residuals by each of several changes of the moduli (MPa)."""
-        columns, _ = self.linear_response(changes)
-        return columns
+        columns, _ = self._respond(change.reshape(1, -1))
+        return self._of_residuals(columns[:, 0] * self.data.scale)
 
     def linear_response(self, changes: Changes) -> tuple[Columns, list[NodalFields]]:
-        """Return `jacobian_times_each`, and the change of the displacement of each press (mm).
+        """Return the changes of residuals and displacements by changes of the moduli (MPa).
 
         The last response is kept, also by `with_data`, for the same changes.
+
+        Returns:
+            The change of the residuals by each, (data, k), and that of the displacement of each
+            press, mm.
         """
         if self._response is None or not np.array_equal(self._response.changes, changes):
             self._response = _LinearResponse(changes.copy(), *self._respond(changes))

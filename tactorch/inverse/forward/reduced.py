@@ -108,9 +108,6 @@ class ReducedEvaluation(Evaluation):
         logs = by_element / self._means
         return (self._problem.rates @ logs.T.astype(np.float32)).astype(np.float64), []
 
-    def jacobian_times(self, change: Moduli) -> Float[np.ndarray, " data"]:
-        return self.linear_response(change.reshape(1, -1))[0][:, 0]
-
 
 def _means(youngs: Moduli) -> Float[np.ndarray, " m"]:
     """Return the mean modulus of each element."""

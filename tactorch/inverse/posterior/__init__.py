@@ -9,7 +9,7 @@ from tactorch.inverse.posterior.gaussian_state import GaussianState
 from tactorch.inverse.posterior.laplace import LaplacePosterior
 from tactorch.inverse.posterior.low_rank import LowRankPosterior
 from tactorch.inverse.posterior.select import posterior_at
-from tactorch.inverse.posterior.sensitivity import credibility, layer_profile, sensitivity_matrix
+from tactorch.inverse.posterior.sensitivity import credibility, layer_profile
 from tactorch.inverse.posterior.variational import VariationalPosterior, variational_posterior
 from tactorch.metrics.coverage import Coverage, calibration_curve, calibration_error, coverage
 
@@ -26,6 +26,5 @@ __all__ = [
     "credibility",
     "layer_profile",
     "posterior_at",
-    "sensitivity_matrix",
     "variational_posterior",
 ]

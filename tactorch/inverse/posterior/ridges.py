@@ -126,7 +126,9 @@ class Ridge:
         t = self.quantiles(ndtr(offset / start.deviation + start.slope * start.deviation))
         rest = (draws - start.z - offset[:, None] * start.along) @ basis
         units = np.linalg.solve(start.root, rest.T).T
-        spread = np.einsum("kij,kj->ki", self._roots(t), units) @ basis.T
+        # Factors of the conditional covariance are linear between the points.
+        roots = self._between(partial(make_interp_spline, k=1), t, self._all("root"))
+        spread = np.einsum("kij,kj->ki", roots, units) @ basis.T
         return self.mean(t) + spread
 
     def mean(self, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k size"]:
@@ -152,10 +154,6 @@ class Ridge:
         curvature = np.where(out < 0, deviations[0], deviations[-1]) ** -2.0
         height = height + np.where(out < 0, below, above) * out + 0.5 * curvature * out**2
         return np.asarray(-height - log)
-
-    def _roots(self, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k others others"]:
-        """Return factors of the conditional covariance, linear between points."""
-        return self._between(partial(make_interp_spline, k=1), t, self._all("root"))
 
     def _all(self, name: str) -> np.ndarray:
         return np.array([getattr(point, name) for point in self.points])

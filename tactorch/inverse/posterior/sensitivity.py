@@ -1,4 +1,4 @@
-"""The sensitivity matrix and the credibility metric of the paper (eq. 14 and 15, Fig. 3)."""
+"""The credibility metric of the paper (eq. 15, Fig. 3)."""
 
 from functools import reduce
 
@@ -14,25 +14,15 @@ from tactorch.mesh.quadrature import lattice
 _SUBDIVISIONS = 11  # sample points along an edge of an element
 
 
-def sensitivity_matrix(evaluation: Evaluation) -> Float[np.ndarray, "data m"]:
-    """Return M = S du/de (eq. 14), mm/MPa; one row per observed degree of freedom."""
-    return np.concatenate([press.matrix() for press in evaluation.sensitivities])
-
-
-def credibility(matrix: Evaluation | Float[np.ndarray, "data m"]) -> Field:
+def credibility(evaluation: Evaluation) -> Field:
     """Return the credibility L(j) = max_i |M_ij| of each element (eq. 15), mm/MPa.
 
-    The row i runs over observed degrees of freedom: x, y and z displacements are separate rows.
-    L over `mesh.volumes` (mm/MPa/mm^3) is independent of the element size.
-
-    Args:
-        matrix: Sensitivity matrix, or an evaluation, of which one press's rows are in memory at a
-            time.
+    M = S du/de is the sensitivity matrix (eq. 14). The row i runs over observed degrees of freedom:
+    x, y and z displacements are separate rows. One press's rows are in memory at a time. L over
+    `mesh.volumes` (mm/MPa/mm^3) is independent of the element size.
     """
-    if isinstance(matrix, np.ndarray):
-        return np.abs(matrix).max(axis=0, initial=0.0)
-    each = (credibility(press.matrix()) for press in matrix.sensitivities)
-    return reduce(np.maximum, each)
+    rows = (press.matrix() for press in evaluation.sensitivities)
+    return reduce(np.maximum, (np.abs(matrix).max(axis=0, initial=0.0) for matrix in rows))
 
 
 def layer_profile(

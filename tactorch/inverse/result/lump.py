@@ -110,10 +110,6 @@ class Elongation:
         widths = " x ".join(f"{width:.2g}" for width in self.widths_mm)
         return f"{self.length_mm:.2g} mm long along ({along}) and {widths} mm across"
 
-    def plain(self) -> dict[str, object]:
-        """Return plain values: mm, and the direction."""
-        return to_plain(self)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Lump(Summarized):
@@ -176,7 +172,7 @@ class Lump(Summarized):
         if (depths := self.depth_90_mm) is not None:
             values["depth_90_mm"] = list(depths)
         if self.elongation is not None:
-            values |= self.elongation.plain()
+            values |= to_plain(self.elongation)
         if confidence is not None:
             values |= {
                 "probability": confidence.probability,

@@ -90,14 +90,6 @@ class ShapeInclusion(Summarized):
         )
 
 
-class ShapeState(NamedTuple):
-    """A model of a search that was stopped, from which another one may start."""
-
-    field: ShapeField
-    z: Float[np.ndarray, " size"]  # in standard deviations of the prior
-    errors: Levels  # of the data
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class ShapeReconstruction(Displayed):
     """Inclusions with sharp boundaries in a uniform or smooth background.

@@ -17,7 +17,7 @@ from tactorch.inverse.fit.shapes import Evidence, ShapeFit, ShapesOnSites, fit_s
 from tactorch.inverse.forward.problem import Evaluation, InverseProblem
 from tactorch.inverse.forward.reduced import ReducedProblem
 from tactorch.inverse.posterior.shapes import ShapePosterior
-from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
+from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.inverse.search.matched import MatchedFilter
 from tactorch.inverse.search.model import (
     MIN_GAIN,
@@ -135,7 +135,7 @@ class SearchProblem(ABC):
     def _uniform(self) -> Start:
         return Start("uniform", ShapeField(self.prior), np.zeros(1), self.errors.least)
 
-    def continued(self, result: ShapeReconstruction | ShapeState) -> Start:
+    def continued(self, result: ShapeReconstruction | Start) -> Start:
         """Return the model of a search on other presses of the same object."""
         field, z = result.field.changed(result.z, prior=self.prior)
         return Start("the model before", field, z, self.errors.at_least(result.errors))

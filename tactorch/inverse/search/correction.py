@@ -13,7 +13,7 @@ second is that of one mesh for all contacts, whose faces follow the inclusions.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import NamedTuple
 
@@ -22,8 +22,8 @@ from jaxtyping import Bool, Float, Int
 
 from tactorch.fem import NewtonOptions
 from tactorch.fem.transfer import Transfer
-from tactorch.inverse.data.observations import NoiseModel, group_by_contact
-from tactorch.inverse.errors.kept import KeptRims, RimError, press_key
+from tactorch.inverse.data.observations import group_by_contact
+from tactorch.inverse.errors.base import KeptRims, RimError, press_key
 from tactorch.inverse.fields import InclusionShape, Sites
 from tactorch.inverse.fit.shapes import ShapeFit
 from tactorch.inverse.forward.footprint import loaded_nodes
@@ -31,11 +31,12 @@ from tactorch.inverse.forward.problem import Evaluation, InverseProblem, Moduli,
 from tactorch.inverse.search.sizing import (
     Rim,
     inclusion_sizing,
+    loaded_end,
     observed_sizing,
     sharp_edge_sizing,
     smallest,
 )
-from tactorch.linalg import SOLVERS, SolverOptions, limit_workers, map_cases
+from tactorch.linalg import SOLVERS, limit_workers, map_cases
 from tactorch.linalg.parallel import worker_count
 from tactorch.linalg.solver import AutoSolver
 from tactorch.mesh import Refinement, refine
@@ -100,52 +101,31 @@ class Correction:
     """Differences between the common mesh and finer ones.
 
     Attributes:
-        recording: Presses on the common mesh.
-        element: Element type.
-        solver: Linear solver of the finer meshes.
-        noise: Standard deviations for presses that do not state theirs.
+        problem: Presses on the common mesh.
         contacts: Presses of each contact, which differ by a factor, and its rim if it has one.
         kept: Errors at rims, maybe of an earlier search on fewer presses.
-        contact_mpa: Modulus for the stiffness of contacts with probes; None without probes.
     """
 
-    recording: Recording
-    element: str
-    solver: str | SolverOptions
-    noise: NoiseModel
+    problem: InverseProblem
     contacts: tuple[tuple[tuple[int, ...], Rim | None], ...]
-    kept: KeptRims = field(default_factory=KeptRims)
-    contact_mpa: float | None = None
+    kept: KeptRims
 
     @staticmethod
-    def of(
-        problem: InverseProblem,
-        element: str,
-        solver: str | SolverOptions,
-        kept: KeptRims | None = None,
-    ) -> "Correction":
-        """Return the correction for the contacts of a problem with this element and solver.
-
-        The solver "auto" is multigrid, for few solves on each of several meshes.
-        """
-        if isinstance(SOLVERS.build(solver), AutoSolver):
-            solver = "p_multigrid"
+    def of(problem: InverseProblem, kept: KeptRims | None = None) -> "Correction":
+        """Return the correction for the contacts of a problem."""
         recording = problem.recording
         pairs = []
-        for numbers in group_by_contact(recording.presses, problem.data.observations):
+        for numbers in group_by_contact(recording.presses):
             pairs.append((numbers, Rim.of(recording.presses[numbers[0]], recording.mesh)))
-        return Correction(
-            recording, element, solver, problem.noise, tuple(pairs), kept or KeptRims(),
-            problem.contact_mpa if recording.has_probes else None,
-        )  # fmt: skip
+        return Correction(problem, tuple(pairs), kept or KeptRims())
 
     @property
-    def has_contacts(self) -> bool:
-        """Whether some contact ends within a face."""
-        return any(rim is not None for _, rim in self.contacts)
+    def recording(self) -> Recording:
+        """The presses on the common mesh."""
+        return self.problem.recording
 
     @cached_property
-    def uncertain(self) -> tuple[tuple[tuple[int, ...], Rim], ...]:
+    def uncertain(self) -> tuple[tuple[tuple[int, ...], Int[np.ndarray, " nodes"]], ...]:
         """Presses of each contact whose traction is uncertain where it ends, and the nodes there.
 
         Where a contact ends within a face, nodal forces do not determine the traction at its rim.
@@ -155,17 +135,19 @@ class Correction:
         for numbers, rim in self.contacts:
             press = self.recording.presses[numbers[0]]
             if press.errors is not None:
-                rim = Rim.at_end(self.recording.mesh, (press.forces != 0.0).any(axis=1))
-            if rim is not None and not rim.of_probe:
-                found.append((numbers, rim))
-        return tuple(found)
+                loaded = (press.forces != 0.0).any(axis=1)
+                found.append((numbers, loaded_end(self.recording.mesh, loaded)))
+            elif rim is not None and not rim.of_probe:
+                found.append((numbers, rim.nodes))
+        return tuple((numbers, nodes) for numbers, nodes in found if len(nodes))
 
     @property
     def has_singular_ends(self) -> bool:
         """Whether the contact of a sensor ends at an edge of the body."""
         mesh, distance = self.recording.mesh, distance_from_sharp_edges(self.recording.mesh)
-        sensors = [r for n, r in self.uncertain if self.recording.presses[n[0]].errors is not None]
-        return any((distance(mesh.points[rim.nodes]) <= _AT_EDGE_MM).any() for rim in sensors)
+        presses = self.recording.presses
+        ends = [nodes for n, nodes in self.uncertain if presses[n[0]].errors is not None]
+        return any((distance(mesh.points[nodes]) <= _AT_EDGE_MM).any() for nodes in ends)
 
     def offsets(
         self, fit: ShapeFit, evaluation: Evaluation, check: Callable[[], None] = lambda: None
@@ -175,10 +157,8 @@ class Correction:
         Those of the smallest and largest load of each contact are computed, and interpolated for
         the others.
 
-        Args:
-            fit: Model.
-            evaluation: Its predictions on the common mesh.
-            check: Called before each mesh and each equilibrium; what it raises ends the correction.
+        The evaluation is that of the fit on the common mesh. `check` is called before each mesh and
+        each equilibrium; what it raises ends the correction.
 
         Raises:
             ConvergenceError: a press has no equilibrium on its finer mesh.
@@ -287,11 +267,15 @@ class Correction:
         `fine` are the presses on a finer mesh, and `youngs_of` the moduli (MPa) at its quadrature
         points.
         """
-        body = make_body(fine, self.element, self.solver, _NEWTON)
+        common = self.problem.body
+        element = "tet10" if common.discretisation.element.quadratic else "tet4"
+        automatic = isinstance(SOLVERS.build(common.solver), AutoSolver)
+        # There are few solves on each of several meshes.
+        body = make_body(fine, element, "p_multigrid" if automatic else common.solver, _NEWTON)
         youngs = youngs_of(Sites.of(body.assembly))
+        contact_mpa = self.problem.contact_mpa if fine.has_probes else None
         displacements = model.evaluation.displacements
-        common = model.evaluation.search(0).assembly.discretisation
-        transfer = Transfer.between(common, body.discretisation.positions)
+        transfer = Transfer.between(common.discretisation, body.discretisation.positions)
 
         def solve(series: _LoadSeries) -> dict[int, np.ndarray]:
             """Solve one load after the other; a tangent serves all presses of the same supports."""
@@ -301,7 +285,7 @@ class Correction:
                 model.check()
                 one = replace(fine, presses=(fine.presses[i],))
                 problem = InverseProblem(
-                    one, body=body, noise=self.noise, contact_mpa=self.contact_mpa,
+                    one, body=body, noise=self.problem.noise, contact_mpa=contact_mpa,
                     derivative_rtol=_NEWTON.rtol,
                 )  # fmt: skip
                 start = transfer(displacements[i])

@@ -48,14 +48,9 @@ class ForceErrors(NamedTuple):
 
 
 def force_errors(point: Point, weight: float) -> ForceErrors | None:
-    """Return the most probable errors of the forces.
+    """Return the most probable errors of the forces at the optimum of an element map.
 
-    Args:
-        point: Optimum of the objective, with one modulus per element.
-        weight: Weight of the prior there.
-
-    Returns:
-        The errors; None for more than 6,000 parameters, and where a press has no forces.
+    None for more than 6,000 parameters, and where a press has no forces.
     """
     has_forces = all(press.forces.any() for press in point.objective.problem.recording.presses)
     if len(point.x) > _MAX_PARAMETERS or not has_forces or len(point.z):

@@ -41,6 +41,7 @@ from tactorch.recording.append import digest
 __all__ = ["DraftOptions", "DraftShapes", "FinePrediction", "Prediction"]
 
 _RTOL, _DERIVATIVE_RTOL = 1e-5, 5e-3
+_MAX_SHAPES = 2
 
 
 class _Known(NamedTuple):
@@ -64,9 +65,8 @@ class _Presses(SearchProblem):
         moved: list[Float[np.ndarray, "nodes 3"]],
         pose_mm: float,
         stop: Callable[[], bool],
-        max_shapes: int,
     ) -> None:
-        super().__init__(stop, max_shapes)
+        super().__init__(stop, _MAX_SHAPES)
         self.full, self.reduced, self.prior = full, reduced, prior
         self.sites = Sites.of(full.body.assembly)
         self._reduced_sites = Sites.of(reduced.body.assembly)
@@ -148,26 +148,22 @@ class DraftShapes:
             youngs = uniform_fit(quadratic, self._settings.bounds).youngs_mpa
             self._prior = ShapePrior.of(recording.mesh, youngs)
         youngs = float(np.exp(self._prior.log_background))
+        predict, observations = self._fine_prediction, quadratic.data.observations
         for k, key in enumerate(keys):
             if key not in self._known:
-                one = ReducedProblem.about_uniform(
-                    self._problem(recording.select([k]), "tet4"), youngs
-                )
-                self._known[key] = _Known(self._errors(quadratic, k, youngs), one)
+                one = self._problem(recording.select([k]), "tet4")
+                fine = None if predict is None else predict(recording.presses[k], youngs)
+                errors = PressErrors.of(observations[k], fine)
+                self._known[key] = _Known(errors, ReducedProblem.about_uniform(one, youngs))
         known = [self._known[key] for key in keys]
         linear = self._problem(recording, "tet4")
         rest = np.zeros((quadratic.body.n_nodes, 3))
         return _Presses(
             quadratic.with_data(with_errors(quadratic, [one.errors for one in known], options)),
             ReducedProblem.joined(linear, [one.reduced for one in known]),
-            self._prior, [self._moved.get(key, rest) for key in keys], options.pose_deviation_mm,
-            stop, options.max_shapes,
+            self._prior, [self._moved.get(key, rest) for key in keys],
+            options.pose_deviation_mm, stop,
         )  # fmt: skip
-
-    def _errors(self, problem: InverseProblem, k: int, youngs: float) -> PressErrors:
-        observation, press = problem.data.observations[k], problem.recording.presses[k]
-        predict = self._fine_prediction
-        return PressErrors.of(observation, None if predict is None else predict(press, youngs))
 
     def _problem(self, recording: Recording, element: str) -> InverseProblem:
         settings, least = self._settings, self._options.model_deviation

@@ -48,19 +48,13 @@ class DraftOptions:
         pose_deviation_mm: Standard deviation of the reported position of a press, mm. It adds to
             the uncertainty of centres, and, where `FinePrediction` tells its effect on the
             displacements, to that of the data.
-        rigid_deviation: Standard deviation of rigid motions at a contact, over its displacements.
         scale_deviation: Relative standard deviation of the displacements of a press as a whole.
-        remaining: Part of the discretisation's error that remains after its correction.
         model_deviation: Least noise of the displacements, over their root mean square.
-        max_shapes: Largest number of balls.
     """
 
     pose_deviation_mm: float = 0.0
-    rigid_deviation: float = _RIGID_DEVIATION
     scale_deviation: float = _SCALE_DEVIATION
-    remaining: float = _REMAINING
     model_deviation: float = _MODEL_DEVIATION
-    max_shapes: int = 2
 
 
 class PressErrors(NamedTuple):
@@ -100,10 +94,10 @@ def with_errors(
     """Return the data without the discretisation's error, and with errors in common."""
     observations = problem.data.observations
     kinds = {
-        _Known("discretisation", [one.mesh[None] for one in errors]): options.remaining,
+        _Known("discretisation", [one.mesh[None] for one in errors]): _REMAINING,
         _Known("scale", [o.values[None] for o in observations]): options.scale_deviation,
         _Known("position", [one.pose for one in errors]): options.pose_deviation_mm,
-        RigidMotion(): options.rigid_deviation,
+        RigidMotion(): _RIGID_DEVIATION,
     }
     presses = MeasuredPresses(problem, [(k,) for k in range(len(observations))])
     data = ErrorModel(presses, kinds).data({kind.name: level for kind, level in kinds.items()})

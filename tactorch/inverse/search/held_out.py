@@ -28,15 +28,9 @@ def held_out_score(
 ) -> float | None:
     """Return the mean log-density of a datum (1/mm or 1/N) given the data of all other contacts.
 
-    Args:
-        data: Observations and the statistics of their errors.
-        contacts: Numbers of the presses of each contact, which are held out together.
-        residuals: Whitened residuals at the fit.
-        jacobian: Their derivatives by the parameters.
-        covariance: Posterior covariance of the parameters.
-
-    Returns:
-        The score, larger where the prediction is better; None for more than 6,000 data.
+    The presses of each contact are held out together. Residuals at the fit and their derivatives
+    are whitened, and the covariance is that of the posterior. The score is larger where the
+    prediction is better; there is none for more than 6,000 data, nor for a single contact.
     """
     count = len(residuals)
     if count > _MAX_DATA or len(contacts) < 2:

@@ -107,14 +107,9 @@ def falls_short(
     groups: Int[np.ndarray, " data"] | None = None,
     margin: float = 0.0,
 ) -> bool:
-    """Return whether a fit will have less evidence than another one.
+    """Return whether a fit will have less evidence than another one, by more than a margin.
 
-    Args:
-        fit: The fit.
-        fall: Largest fall of the objective that is expected of it.
-        rival: The other one.
-        groups: See `gain`.
-        margin: Log-evidence by which it will have less.
+    `fall` is the largest fall of the objective that is expected of it; see `gain` for `groups`.
     """
     remaining = max(0.0, 1.0 - fall / max(fit.misfit, 1e-300))
     best = replace(fit, residuals=np.sqrt(remaining) * fit.residuals)
@@ -151,13 +146,8 @@ class TimeLimit:
 def improve(step: Callable[[int], bool], models: int, limit: TimeLimit) -> StopReason | None:
     """Accept models, by a step each, until there is no better one, the time limit, or Ctrl-C.
 
-    Args:
-        step: Function of the number of the model, from 2, which returns whether it was accepted.
-        models: Largest number of accepted models.
-        limit: The time limit; fits of steps call it.
-
-    Returns:
-        What ended it early, or None. The last accepted model is then the result.
+    A step is a function of the number of the model, from 2, which returns whether it was accepted.
+    What ended it early is returned, or None; the last accepted model is then the result.
     """
     limit.holds = True
     try:
@@ -199,7 +189,7 @@ def with_predictions(
     The model may be on a refinement of the recording's mesh.
     """
     fit, data = model.fit, model.evaluation.data
-    contacts = contacts_of(recording, data.observations)
+    contacts = contacts_of(recording)
     score = held_out_score(data, contacts, fit.residuals, fit.jacobian, fit.covariance)
     predictions = Predictions.of(model.evaluation, recording)
     return replace(result, predictions=predictions, held_out=score)

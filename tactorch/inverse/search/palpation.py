@@ -56,12 +56,7 @@ def at_some_places(recording: Recording, count: int) -> Recording | None:
 class PalpationSearch(SearchProblem):
     """The presses of a palpation; see `SearchProblem`.
 
-    Args:
-        recording: The presses.
-        settings: Noise, solver and equilibrium search are used.
-        stop: See `SearchProblem`.
-        max_shapes: Largest number of inclusions.
-        element: Elements of the body.
+    Noise, solver and equilibrium search of the settings are used.
     """
 
     full: PalpationProblem

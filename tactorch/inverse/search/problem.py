@@ -10,9 +10,9 @@ from jaxtyping import Float
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions
-from tactorch.inverse.data.observations import Observation, group_by_contact
+from tactorch.inverse.data.observations import group_by_contact
 from tactorch.inverse.errors import ERRORS, ErrorModel, Levels, MeasuredPresses
-from tactorch.inverse.errors.kept import KeptRims
+from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.fields import ShapePrior, Sites
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites
@@ -48,12 +48,8 @@ _RTOL = 1e-5  # of equilibria: errors of data below a thousandth of their deviat
 class ShapeProblem(SearchProblem):
     """The presses with quadratic elements and with linear ones; see `SearchProblem`.
 
-    Args:
-        recording: The presses.
-        settings: Noise, solver, bounds and equilibrium search are used.
-        stop: See `SearchProblem`.
-        kept: Errors at rims of an earlier search on fewer presses; those of others are added.
-        max_shapes: Largest number of inclusions.
+    Noise, solver, bounds and equilibrium search of the settings are used. Errors at rims are added
+    to those `kept` of an earlier search on fewer presses.
 
     Attributes:
         linear: The presses with linear elements.
@@ -70,12 +66,11 @@ class ShapeProblem(SearchProblem):
         max_shapes: int = 0,
     ) -> None:
         super().__init__(stop, max_shapes)
-        same, self._element = is_same_model(recording), "tet10"
+        same, element = is_same_model(recording), "tet10"
         if same:
-            self._element = str(recording.provenance.get("element", settings.element))
+            element = str(recording.provenance.get("element", settings.element))
         newton = NewtonOptions(rtol=max(settings.newton.rtol, _RTOL))
-        unscaled = [Observation.of(press, 1.0) for press in recording.presses]
-        contacts, noise = group_by_contact(recording.presses, unscaled), settings.noise
+        contacts, noise = group_by_contact(recording.presses), settings.noise
         if not same:
             floor = _DISCRETISATION * np.sqrt(len(recording.presses) / len(contacts))
             noise = replace(noise, relative=max(noise.relative, float(floor)))
@@ -87,17 +82,17 @@ class ShapeProblem(SearchProblem):
         self.linear = problem("tet4")
         if recording.has_probes:
             options["contact_mpa"] = self.linear.contact_mpa
-        self.full = problem(self._element, derivative_rtol=_DERIVATIVE_RTOL)
+        self.full = problem(element, derivative_rtol=_DERIVATIVE_RTOL)
         self.sites = Sites.of(self.full.body.assembly)
         self._reduced_sites = Sites.of(self.linear.body.assembly)
         # Where the presses were computed on this mesh, it is the object.
         self._correction, presses = None, MeasuredPresses(self.full, contacts)
         if not same:
-            correction = Correction.of(self.full, self._element, settings.solver, kept)
+            correction = Correction.of(self.full, kept)
             self._correction, presses = correction, replace(
                 presses,
                 corrections_mm=[np.zeros(count) for count in self.full.data.counts],
-                rims=[(numbers, rim.nodes) for numbers, rim in correction.uncertain],
+                rims=correction.uncertain,
                 at_edge=correction.has_singular_ends,
                 kept=correction.kept,
             )  # fmt: skip
@@ -109,10 +104,6 @@ class ShapeProblem(SearchProblem):
         self.prior = ShapePrior.of(recording.mesh, youngs)
         self._floored = noise.floored(recording)
 
-    @property
-    def _has_contacts(self) -> bool:
-        return self._correction is not None and self._correction.has_contacts
-
     def first(self, start: Start) -> Model:
         """Fit the first model of a search with quadratic elements.
 
@@ -120,7 +111,9 @@ class ShapeProblem(SearchProblem):
             ConvergenceError: it has no equilibrium under the recorded forces.
         """
         model = self.fit(start, self._linearise(start))
-        return self.corrected(model) if self._has_contacts else self._linearised(model)
+        contacts = () if self._correction is None else self._correction.contacts
+        ends_within_faces = any(rim is not None for _, rim in contacts)
+        return self.corrected(model) if ends_within_faces else self._linearised(model)
 
     def _linearise(self, start: Start) -> list[Float[np.ndarray, "nodes 3"]]:
         """Compute the effects of the errors about a model, and return its displacements (mm)."""

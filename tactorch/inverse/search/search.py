@@ -16,17 +16,18 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tactorch.errors import CancelledError, ConvergenceError
-from tactorch.inverse.errors.kept import KeptRims
+from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.forward.palpation import is_palpation
 from tactorch.inverse.posterior.shapes import ShapePosterior
-from tactorch.inverse.result.shapes import ShapeReconstruction, ShapeState
+from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import (
     MAX_LOG_ODDS,
     Model,
     Proposal,
+    Start,
     TimeLimit,
     improve,
     record,
@@ -53,7 +54,7 @@ def find_shapes(
     settings: Settings | None = None,
     *,
     max_shapes: int = _MAX_SHAPES,
-    start: ShapeReconstruction | ShapeState | None = None,
+    start: ShapeReconstruction | Start | None = None,
     stop: Callable[[], bool] = lambda: False,
     kept: KeptRims | None = None,
 ) -> ShapeReconstruction:
@@ -116,8 +117,9 @@ class _Path:
     ended: StopReason | None = None  # what ended it early
 
     @property
-    def state(self) -> ShapeState:
-        return ShapeState(self.model.fit.field, self.model.fit.z, self.model.errors)
+    def state(self) -> Start:
+        fit = self.model.fit
+        return Start("last model", fit.field, fit.z, self.model.errors)
 
     def had(self, proposal: Proposal) -> bool:
         """Return whether a proposal adds an inclusion that was accepted before, and removed.
@@ -140,18 +142,14 @@ class _Path:
 def search(
     problem: SearchProblem,
     limit: TimeLimit,
-    start: ShapeReconstruction | ShapeState | None = None,
+    start: ShapeReconstruction | Start | None = None,
     update: Callable[[str], None] = lambda what: None,
     before: _Path | None = None,
 ) -> tuple[Model, ShapeReconstruction]:
     """Accept models of more evidence until there is none; return the last one, and the result.
 
-    Args:
-        problem: The presses.
-        limit: Limit of the time, see `improve`.
-        start: See `find_shapes`.
-        update: Called with what is done next.
-        before: Search on a part of the presses, from whose model this one starts.
+    `update` is called with what is done next. The search starts from the model of the one `before`,
+    on a part of the presses, or from `start`, see `find_shapes`.
     """
     path = _accept_models(problem, limit, start, update, before)
     with path.kept():
@@ -169,7 +167,7 @@ def search(
 def _accept_models(
     problem: SearchProblem,
     limit: TimeLimit,
-    start: ShapeReconstruction | ShapeState | None,
+    start: ShapeReconstruction | Start | None,
     update: Callable[[str], None],
     before: _Path | None = None,
 ) -> _Path:
@@ -234,7 +232,7 @@ def _result(
     )  # fmt: skip
 
 
-def _first(problem: SearchProblem, before: ShapeReconstruction | ShapeState | None) -> _Path:
+def _first(problem: SearchProblem, before: ShapeReconstruction | Start | None) -> _Path:
     """Fit the model of an earlier result, or where there is none a uniform body."""
     what, model = "uniform", None
     # A background that varies, found of few presses, would hide the inclusion that more show.

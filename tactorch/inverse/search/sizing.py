@@ -32,19 +32,13 @@ _MIN_COSINE = 0.8  # between normals, where the surface goes on across a rim
 
 
 def inclusion_sizing(inclusions: Sequence[InclusionShape]) -> Sizing:
-    """Return the longest edges (mm) at points (mm): short near boundaries of inclusions.
+    """Return the longest edges (mm) at points (mm): short near boundaries of inclusions."""
 
-    The strain around an inclusion changes with the third power of the distance.
-    """
+    def sizing(shape: InclusionShape) -> Sizing:
+        shortest = _PER_RADIUS * shape.radius_mm
+        return lambda points: shortest + _GROWTH * np.abs(shape.distance(points))
 
-    def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
-        lengths = np.full(len(points), np.inf)
-        for shape in inclusions:
-            longest = _PER_RADIUS * shape.radius_mm + _GROWTH * np.abs(shape.distance(points))
-            lengths = np.minimum(lengths, longest)
-        return lengths
-
-    return sizing
+    return smallest(*map(sizing, inclusions))
 
 
 def observed_sizing(
@@ -52,12 +46,7 @@ def observed_sizing(
 ) -> Sizing | None:
     """Return the longest edges (mm) at points (mm): short where the surface is near inclusions.
 
-    Args:
-        observed: Observed points of the surface, mm.
-        inclusions: Inclusions of the model.
-
-    Returns:
-        The longest edges; None where no inclusion is near.
+    `observed` are its observed points, mm. None where no inclusion is near.
     """
     gaps, near = np.full(len(observed), np.inf), np.zeros(len(observed), dtype=bool)
     for shape in inclusions:
@@ -86,9 +75,14 @@ def sharp_edge_sizing(mesh: TetMesh) -> Sizing:
 
 
 def smallest(*sizings: Sizing | None) -> Sizing:
-    """Return the shortest of longest edges, of which None is no limit."""
+    """Return the shortest of longest edges, of which None is no limit; infinite without any."""
     limits = [sizing for sizing in sizings if sizing is not None]
-    return lambda points: np.minimum.reduce([sizing(points) for sizing in limits])
+
+    def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+        unlimited = np.full(len(points), np.inf)
+        return np.minimum.reduce([unlimited, *(limit(points) for limit in limits)])
+
+    return sizing
 
 
 def contact_sizing(recording: Recording) -> Sizing:
@@ -103,22 +97,22 @@ def contact_sizing(recording: Recording) -> Sizing:
         key = (press.forces != 0).any(axis=1).tobytes() + press.geometry_bytes()
         first.setdefault(key, press)
     rims = [rim for press in first.values() if (rim := Rim.of(press, recording.mesh))]
-
-    def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
-        lengths = np.full(len(points), np.inf)
-        for rim in rims:
-            longest = _PER_CONTACT * rim.radius_mm
-            for tree in (rim.tree, rim.inside) if rim.of_probe else (rim.tree,):
-                near = tree.query(points)[0] < longest
-                lengths[near] = np.minimum(lengths[near], longest)
-        return lengths
-
-    return sizing
+    inside = [_PER_CONTACT if rim.of_probe else None for rim in rims]
+    pairs = zip(rims, inside, strict=True)
+    return smallest(*(rim.sizing(_PER_CONTACT, np.inf, under) for rim, under in pairs))
 
 
 def refined_at_contacts(recording: Recording) -> Recording:
     """Return the presses on a mesh that is fine enough at the rims of contacts for fits."""
     return refine_recording(recording, contact_sizing(recording), smooth_tractions=True)
+
+
+def loaded_end(mesh: TetMesh, loaded: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
+    """Return the nodes where the loaded triangles end, within a face or at edges of the body."""
+    triangles = mesh.surface.triangles
+    sides = triangle_edges(triangles[loaded[triangles].all(axis=1)])
+    ends, counts = np.unique(sides, axis=0, return_counts=True)
+    return np.unique(ends[counts == 1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,46 +157,29 @@ class Rim:
         corners = surface.triangles[~inside]
         smooth = np.einsum("tcd,td->tc", normals[corners], surface.normals[~inside]) > _MIN_COSINE
         rim = np.unique(corners[smooth & loaded[corners]])
-        return Rim._of(mesh, rim, inside) if len(rim) else None
-
-    @staticmethod
-    def at_end(mesh: TetMesh, loaded: Bool[np.ndarray, " n"]) -> "Rim | None":
-        """Return the nodes where the loaded triangles end, within a face or at edges of the body.
-
-        None where no triangle is loaded.
-        """
-        surface = mesh.surface
-        inside = loaded[surface.triangles].all(axis=1)
-        if not inside.any():
+        if not len(rim):
             return None
-        sides = triangle_edges(surface.triangles[inside])
-        ends, counts = np.unique(sides, axis=0, return_counts=True)
-        return Rim._of(mesh, np.unique(ends[counts == 1]), inside)
-
-    @staticmethod
-    def _of(mesh: TetMesh, nodes: Int[np.ndarray, " k"], inside: Bool[np.ndarray, " t"]) -> "Rim":
-        radius = float(np.sqrt(mesh.surface.areas[inside].sum() / np.pi))
-        within = mesh.points[mesh.surface.triangles[inside]]
+        radius = float(np.sqrt(surface.areas[inside].sum() / np.pi))
         places = lattice(_PER_TRIANGLE + 1, margin=0.0, corners=3)
-        sampled = np.einsum("sc,tcd->tsd", places, within).reshape(-1, 3)
-        return Rim(nodes, cKDTree(mesh.points[nodes]), cKDTree(sampled), radius)
+        sampled = np.einsum("sc,tcd->tsd", places, mesh.points[surface.triangles[inside]])
+        return Rim(rim, cKDTree(mesh.points[rim]), cKDTree(sampled.reshape(-1, 3)), radius)
 
     def sizing(self, per_radius: float, growth: float, inside: float | None = None) -> Sizing:
         """Return `per_radius` times the radius at the rim, longer with the distance from it.
 
         Args:
             per_radius: Longest edge at the rim, over the radius.
-            growth: Increase of the longest edge with the distance.
+            growth: Increase of the longest edge with the distance; infinite for no limit there.
             inside: Longest edge at the loaded surface, over the radius; no limit by default.
         """
 
-        def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
-            lengths = np.full(len(points), np.inf)
-            for tree, per in ((self.tree, per_radius), (self.inside, inside)):
-                if per is not None:
-                    shortest = per * self.radius_mm
-                    beyond = np.maximum(tree.query(points)[0] - shortest, 0.0)
-                    lengths = np.minimum(lengths, shortest + growth * beyond)
-            return lengths
+        def around(tree: cKDTree, shortest: float) -> Sizing:
+            def sizing(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+                beyond = np.maximum(tree.query(points)[0] - shortest, 0.0)
+                return shortest + np.multiply(growth, beyond, out=beyond, where=beyond > 0.0)
 
-        return sizing
+            return sizing
+
+        at_rim = around(self.tree, per_radius * self.radius_mm)
+        within = None if inside is None else around(self.inside, inside * self.radius_mm)
+        return smallest(at_rim, within)

@@ -12,7 +12,7 @@ import pytest
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.inverse import GaussNewton, Reconstruction, Settings, Status, invert, invert_map
 from tactorch.inverse.data.observations import DataModel, Observation, group_by_contact
-from tactorch.inverse.errors.kept import KeptRims
+from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.forward.predictions import Predictions
 from tactorch.inverse.posterior.shapes import ShapePosterior
@@ -182,7 +182,7 @@ def test_held_out_presses_are_predicted_as_by_leaving_them_out() -> None:
 
 def test_one_contact_has_no_held_out_prediction(recording: Recording) -> None:
     observations = tuple(Observation.of(press, 1e-3) for press in recording.presses[:1])
-    contacts = group_by_contact(recording.presses[:1], observations)
+    contacts = group_by_contact(recording.presses[:1])
     data = DataModel(observations)
     count = len(observations[0].values)
     score = held_out_score(data, contacts, np.zeros(count), np.zeros((count, 1)), np.eye(1))
