@@ -42,6 +42,9 @@ _AT_ONCE = 12  # presses whose equilibria are searched together
 # Error of derivatives in the change of the data by steps, over the sum of squares of the changes by
 # each parameter, up to which those after the steps are derived from those before.
 _MAX_MISS = 0.08
+# Largest mean squared residual for this: errors of derivatives change the gradient in proportion to
+# the residuals.
+_MAX_CHI2 = 3.0
 _MAX_RELATIVE_CHANGE = 0.5  # of a modulus, for which du/de predicts u
 
 
@@ -288,7 +291,7 @@ class Evaluation:
             step: Change of the parameters since then.
         """
         response, square = before._response, float(step @ step)
-        if response is None or not self.derivative_rtol or not square:
+        if response is None or not self.derivative_rtol or not square or self.chi2 > _MAX_CHI2:
             return
         moved = np.concatenate(self.predicted) - np.concatenate(before.predicted)
         missed, scale = moved - response.columns @ step, self.data.scale
