@@ -41,7 +41,7 @@ NodalFields = Float[np.ndarray, "k nodes 3"]
 _AT_ONCE = 12  # presses whose equilibria are searched together
 # Error of derivatives in the change of the data by steps, over the sum of squares of the changes by
 # each parameter, up to which those after the steps are derived from those before.
-_MAX_MISS = 0.08
+_MAX_MISS = 0.04
 # Largest mean squared residual for this: errors of derivatives change the gradient in proportion to
 # the residuals.
 _MAX_CHI2 = 3.0
