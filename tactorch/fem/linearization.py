@@ -253,10 +253,6 @@ class Sensitivity:
             out[rows] = -self.linearization.unit_work(fields).T
         return out
 
-    def times(self, change: Float[np.ndarray, " moduli"]) -> Float[np.ndarray, " data"]:
-        """Return the change of the data by a change of the moduli (MPa)."""
-        return self.times_each(change[None])[0][:, 0]
-
     def times_each(
         self, changes: Float[np.ndarray, "k moduli"]
     ) -> tuple[Float[np.ndarray, "data k"], list[Float[np.ndarray, "nodes 3"]]]:

@@ -33,7 +33,9 @@ def test_products_are_the_matrix_times(problem):
     sensitivity, jacobian = problem
     rng = np.random.default_rng(0)
     change, weights = rng.standard_normal(jacobian.shape[1]), rng.standard_normal(len(jacobian))
-    np.testing.assert_allclose(sensitivity.times(change), jacobian @ change, atol=1e-12)
+    np.testing.assert_allclose(
+        sensitivity.times_each(change[None])[0][:, 0], jacobian @ change, atol=1e-12
+    )
     np.testing.assert_allclose(
         sensitivity.transpose_times(weights), jacobian.T @ weights, atol=1e-12
     )
@@ -43,9 +45,11 @@ def test_order_of_requests_does_not_matter(problem):
     """The factorisation is renewed on the way from products to the matrix."""
     sensitivity, jacobian = problem
     change = np.ones(jacobian.shape[1])
-    before = sensitivity.times(change)
+    before = sensitivity.times_each(change[None])[0][:, 0]
     sensitivity.matrix()
-    np.testing.assert_allclose(sensitivity.times(change), before, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        sensitivity.times_each(change[None])[0][:, 0], before, rtol=0, atol=1e-12
+    )
 
 
 def test_observations_beyond_one_batch(problem, monkeypatch):

@@ -79,7 +79,9 @@ def test_products_are_those_of_the_matrix(
         matrix = sensitivity.matrix()
         change, weights = rng.standard_normal(matrix.shape[1]), rng.standard_normal(len(matrix))
         scale = np.abs(matrix).max()
-        np.testing.assert_allclose(sensitivity.times(change), matrix @ change, atol=1e-9 * scale)
+        np.testing.assert_allclose(
+            sensitivity.times_each(change[None])[0][:, 0], matrix @ change, atol=1e-9 * scale
+        )
         np.testing.assert_allclose(
             sensitivity.transpose_times(weights), matrix.T @ weights, atol=1e-9 * scale
         )
