@@ -15,21 +15,13 @@ from tactorch.inverse.forward.problem import Evaluation
 class ErrorModel:
     """Errors of the data at any deviations.
 
-    Args:
-        presses: The presses.
-        errors: Errors that may occur.
-
     Attributes:
         presses: The presses.
-        errors: Errors that occur.
+        errors: Errors that occur, of those that may.
         least: Their deviations in the simplest model.
     """
 
-    def __init__(
-        self,
-        presses: MeasuredPresses,
-        errors: Iterable[ErrorSource],
-    ) -> None:
+    def __init__(self, presses: MeasuredPresses, errors: Iterable[ErrorSource]) -> None:
         least = {error: error.least(presses) for error in errors}
         self.presses = presses
         self.errors = tuple(error for error, level in least.items() if level is not None)
