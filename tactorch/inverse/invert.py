@@ -17,14 +17,13 @@ from tactorch.inverse.data.misfit import MISFITS, Adaptive, Squares
 from tactorch.inverse.data.observations import NoiseModel
 from tactorch.inverse.errors import ERRORS, ErrorModel, MeasuredPresses
 from tactorch.inverse.errors.discretisation import (
-    RESIDUAL_MODEL_ERROR,
     ModelError,
     corrected,
     discretisation_error,
     resolve_model_error,
 )
 from tactorch.inverse.fields import ElementField
-from tactorch.inverse.fit.monitor import Monitor, StopReason, progress_text
+from tactorch.inverse.fit.monitor import Monitor, StopReason
 from tactorch.inverse.fit.objective import Objective, Point
 from tactorch.inverse.fit.optimizers.base import OPTIMIZERS
 from tactorch.inverse.fit.optimizers.gauss_newton import GaussNewton
@@ -245,15 +244,20 @@ def invert_map(
     with progress_line(label, show_progress) as update:
         update("model of the presses")
         objective = make_objective(recording, settings)
+        name = resolve_model_error(settings.model_error, recording, settings.element)
+        left = "" if name == "none" else f", {settings.residual_model_error_fraction:g} left"
         monitor = Monitor(
             max_seconds=settings.max_seconds,
             checkpoint=None if checkpoint is None else Path(checkpoint),
-            on_record=lambda record: update(progress_text(record)),
+            on_record=lambda record: update(
+                f"iteration {record['iteration']}, misfit {record['misfit']:.3e} mm2, "
+                f"step {record.get('step', 0.0):.2g}"
+            ),
             on_iteration=on_iteration,
             identity={
                 "mesh": recording.mesh.content_hash()[:12],
                 "parameterization": str(objective.elements.parameterization),
-                "model error": _describe_model_error(recording, settings),
+                "model error": name + left,
                 "nuisance": str(settings.nuisance),
                 "misfit": MISFITS.name_of(type(settings.misfit)),
             },
@@ -420,13 +424,6 @@ def compute_posterior(
     """
     point = solution(recording, reconstruction, settings or Settings())
     return posterior_at(point, reconstruction.weight)
-
-
-def _describe_model_error(recording: Recording, settings: Settings) -> str:
-    """Correction for the model's error, as text that distinguishes runs."""
-    name = resolve_model_error(settings.model_error, recording, settings.element)
-    default = name == "none" or settings.residual_model_error_fraction == RESIDUAL_MODEL_ERROR
-    return name if default else f"{name}, {settings.residual_model_error_fraction:g} left"
 
 
 def _task_digest(recording: Recording, settings: Settings) -> str:

@@ -3,7 +3,7 @@
 import json
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -213,11 +213,3 @@ def describe(entry: dict[str, Any]) -> str:
     text = "iteration {iteration:>4}  {seconds:7.1f} s  misfit {misfit:.4e} mm2  chi2 {chi2:.3e}"
     parts = [f"  {key} {entry[key]:.2g}" for key in ("weight", "step") if key in entry]
     return text.format(**entry) + "".join(parts)
-
-
-def progress_text(record: Mapping[str, Any]) -> str:
-    """Return iteration, misfit and step of a record for a line of progress."""
-    return (
-        f"iteration {record['iteration']}, misfit {record['misfit']:.3e} mm2, "
-        f"step {record.get('step', 0.0):.2g}"
-    )
