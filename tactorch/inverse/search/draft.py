@@ -8,7 +8,6 @@ uniform background. Each search starts from the last one.
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -27,7 +26,6 @@ from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.draft_errors import (
     DraftOptions,
     FinePrediction,
-    Prediction,
     PressErrors,
     with_errors,
 )
@@ -38,17 +36,8 @@ from tactorch.inverse.search.search import search
 from tactorch.recording import Recording
 from tactorch.recording.append import digest
 
-__all__ = ["DraftOptions", "DraftShapes", "FinePrediction", "Prediction"]
-
 _RTOL, _DERIVATIVE_RTOL = 1e-5, 5e-3
 _MAX_SHAPES = 2
-
-
-class _Known(NamedTuple):
-    """What is computed once for a press."""
-
-    errors: PressErrors
-    reduced: ReducedProblem
 
 
 class _Presses(SearchProblem):
@@ -115,7 +104,7 @@ class DraftShapes:
         self._settings, self._fine_prediction = settings or Settings(), fine_prediction
         self._options = options or DraftOptions()
         self._bodies: dict[str, SoftBody] = {}
-        self._known: dict[str, _Known] = {}
+        self._known: dict[str, tuple[PressErrors, ReducedProblem]] = {}  # of each press
         self._moved: dict[str, np.ndarray] = {}  # displacements of each press at the last model
         self._prior: ShapePrior | None = None
 
@@ -153,14 +142,14 @@ class DraftShapes:
             if key not in self._known:
                 one = self._problem(recording.select([k]), "tet4")
                 fine = None if predict is None else predict(recording.presses[k], youngs)
-                errors = PressErrors.of(observations[k], fine)
-                self._known[key] = _Known(errors, ReducedProblem.about_uniform(one, youngs))
-        known = [self._known[key] for key in keys]
+                error = PressErrors.of(observations[k], fine)
+                self._known[key] = error, ReducedProblem.about_uniform(one, youngs)
+        errors, reduced = zip(*(self._known[key] for key in keys), strict=True)
         linear = self._problem(recording, "tet4")
         rest = np.zeros((quadratic.body.n_nodes, 3))
         return _Presses(
-            quadratic.with_data(with_errors(quadratic, [one.errors for one in known], options)),
-            ReducedProblem.joined(linear, [one.reduced for one in known]),
+            quadratic.with_data(with_errors(quadratic, errors, options)),
+            ReducedProblem.joined(linear, reduced),
             self._prior, [self._moved.get(key, rest) for key in keys],
             options.pose_deviation_mm, stop,
         )  # fmt: skip
