@@ -60,6 +60,7 @@ class SearchProblem(ABC):
         max_shapes: Largest number of inclusions.
         max_fits: Largest number of proposals from one model that are fitted with `full`.
         tolerance: Of fits, see `fit_shapes`.
+        final_tolerance: Of the last fit.
         trial_share: Part of the least gain that a trial with the reduced model has to promise.
         min_gain: Gain of log-evidence by which a model is accepted.
     """
@@ -73,6 +74,7 @@ class SearchProblem(ABC):
     proposals: Sequence[Proposals]
     max_fits: ClassVar[int] = 3
     tolerance: float = ROUGH
+    final_tolerance: ClassVar[float] = FINE
     trial_share: ClassVar[float] = 1.0
     min_gain: float = MIN_GAIN
     _reduced_sites: Sites
@@ -109,7 +111,7 @@ class SearchProblem(ABC):
 
     def final(self, model: Model) -> Model:
         """Return the model fitted closely."""
-        return self._fit_further(model, "final", FINE)
+        return self._fit_further(model, "final", self.final_tolerance)
 
     def precise(self, model: Model) -> Model:
         """Return an accepted model with predictions as exact as the search needs them."""

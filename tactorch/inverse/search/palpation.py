@@ -61,7 +61,7 @@ class PalpationSearch(SearchProblem):
 
     full: PalpationProblem
     proposals = (other_errors, further, backgrounds, changed)
-    max_fits, trial_share = 5, _SHARE
+    max_fits, trial_share, final_tolerance = 5, _SHARE, _TOLERANCE
 
     def __init__(
         self,
@@ -112,10 +112,6 @@ class PalpationSearch(SearchProblem):
         """
         self._linearise_about(model.evaluation)
         return model
-
-    def final(self, model: Model) -> Model:
-        """Return the model fitted closely."""
-        return self._fit_further(model, "final", _TOLERANCE)
 
     def without(self, model: Model, removed: Sequence[int]) -> Evidence:
         """Return the evidence of a final model without some inclusions.
