@@ -1,11 +1,10 @@
 """Discretisation error of the presses at a model, from meshes that are finer where it needs that.
 
-Strains change within a fraction of the radius of a contact at its rim, have a kink at the boundary
-of an inclusion, and are singular where a support ends at an edge. A mesh that is fine at
-all would make each fit slow. Instead the differences of the predictions of finer meshes at
-one model are added to those of the common mesh, as they change little with the model (deferred
-correction: V. Pereyra, "On improving an approximate solution of a functional equation by deferred
-corrections", Numer. Math. 8 (1966), 376-391).
+A mesh that is fine at rims of contacts, boundaries of inclusions and ends of supports would make
+each fit slow. Instead the differences of the predictions of finer meshes at one model are added to
+those of the common mesh, as they change little with the model (deferred correction: V. Pereyra, "On
+improving an approximate solution of a functional equation by deferred corrections", Numer. Math. 8
+(1966), 376-391).
 
 The error at the rim of a contact and that at the inclusions are computed separately, and added: the
 first depends on the model by the moduli at the contact only, and is kept while those remain. The
@@ -114,10 +113,9 @@ class Correction:
     def of(problem: InverseProblem, kept: KeptRims | None = None) -> "Correction":
         """Return the correction for the contacts of a problem."""
         recording = problem.recording
-        pairs = []
-        for numbers in group_by_contact(recording.presses):
-            pairs.append((numbers, Rim.of(recording.presses[numbers[0]], recording.mesh)))
-        return Correction(problem, tuple(pairs), kept or KeptRims())
+        groups = group_by_contact(recording.presses)
+        rims = (Rim.of(recording.presses[numbers[0]], recording.mesh) for numbers in groups)
+        return Correction(problem, tuple(zip(groups, rims, strict=True)), kept or KeptRims())
 
     @property
     def recording(self) -> Recording:
@@ -155,10 +153,8 @@ class Correction:
         """Return the predictions of the finer meshes less those of the common one, each press (mm).
 
         Those of the smallest and largest load of each contact are computed, and interpolated for
-        the others.
-
-        The evaluation is that of the fit on the common mesh. `check` is called before each mesh and
-        each equilibrium; what it raises ends the correction.
+        the others. The evaluation is that of the fit on the common mesh. `check` is called before
+        each mesh and each equilibrium; what it raises ends the correction.
 
         Raises:
             ConvergenceError: a press has no equilibrium on its finer mesh.
@@ -191,19 +187,17 @@ class Correction:
         )
         at_inclusions = inclusion_sizing(shapes)
         between = observed_sizing(mesh.points[observed], shapes)
-        whole = [k for k, (_, rim) in enumerate(self.contacts) if rim is None]
         at_whole = smallest(at_inclusions, between, sharp_edge_sizing(mesh))
-        plan = [_FinerMesh(whole, at_whole, False)]
-        far = []
+        whole, far, plan = list[int](), list[int](), list[_FinerMesh]()
         for k, (_, rim) in enumerate(self.contacts):
-            if rim is not None:
-                if between is not None and self._is_near(k, between):
-                    at_rim = rim.sizing(_AT_RIM, _GROWTH, _UNDER_CONTACT)
-                    sizing = smallest(at_inclusions, between, at_rim)
-                    plan.append(_FinerMesh([k], sizing, True))
-                else:
-                    far.append(k)
-        plan.append(_FinerMesh(far, at_inclusions, False))
+            if rim is None:
+                whole.append(k)
+            elif between is not None and self._is_near(k, between):
+                at_rim = rim.sizing(_AT_RIM, _GROWTH, _UNDER_CONTACT)
+                plan.append(_FinerMesh([k], smallest(at_inclusions, between, at_rim), True))
+            else:
+                far.append(k)
+        plan = [_FinerMesh(whole, at_whole, False), *plan, _FinerMesh(far, at_inclusions, False)]
         return [finer for finer in plan if finer.contacts], far
 
     def _is_near(self, k: int, between: Sizing) -> bool:

@@ -139,16 +139,11 @@ class Rim:
 
         A probe that touches the whole width of a face has a rim there too.
         """
-        if press.probe is None:
-            return Rim.around(mesh, (press.forces != 0).any(axis=1))
-        points, rim, radius = Footprint.of(press.probe, mesh)
-        nodes = np.flatnonzero(loaded_nodes(press, mesh))
-        return Rim(nodes, cKDTree(rim if len(rim) else points), cKDTree(points), radius, True)
-
-    @staticmethod
-    def around(mesh: TetMesh, loaded: Bool[np.ndarray, " n"]) -> "Rim | None":
-        """Return the rim of the contact at the loaded points; None where there is none."""
-        surface = mesh.surface
+        if press.probe is not None:
+            points, rim, radius = Footprint.of(press.probe, mesh)
+            nodes = np.flatnonzero(loaded_nodes(press, mesh))
+            return Rim(nodes, cKDTree(rim if len(rim) else points), cKDTree(points), radius, True)
+        surface, loaded = mesh.surface, (press.forces != 0).any(axis=1)
         inside = loaded[surface.triangles].all(axis=1)
         normals = np.zeros((mesh.n_points, 3))
         for corner in surface.triangles[inside].T:
@@ -156,21 +151,19 @@ class Rim:
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         corners = surface.triangles[~inside]
         smooth = np.einsum("tcd,td->tc", normals[corners], surface.normals[~inside]) > _MIN_COSINE
-        rim = np.unique(corners[smooth & loaded[corners]])
-        if not len(rim):
+        nodes = np.unique(corners[smooth & loaded[corners]])
+        if not len(nodes):
             return None
         radius = float(np.sqrt(surface.areas[inside].sum() / np.pi))
         places = lattice(_PER_TRIANGLE + 1, margin=0.0, corners=3)
         sampled = np.einsum("sc,tcd->tsd", places, mesh.points[surface.triangles[inside]])
-        return Rim(rim, cKDTree(mesh.points[rim]), cKDTree(sampled.reshape(-1, 3)), radius)
+        return Rim(nodes, cKDTree(mesh.points[nodes]), cKDTree(sampled.reshape(-1, 3)), radius)
 
     def sizing(self, per_radius: float, growth: float, inside: float | None = None) -> Sizing:
-        """Return `per_radius` times the radius at the rim, longer with the distance from it.
+        """Return the longest edges at points: `per_radius` times the radius at the rim.
 
-        Args:
-            per_radius: Longest edge at the rim, over the radius.
-            growth: Increase of the longest edge with the distance; infinite for no limit there.
-            inside: Longest edge at the loaded surface, over the radius; no limit by default.
+        They grow with the distance from it, without a limit there for infinite growth, and are
+        `inside` times the radius at the loaded surface, where they have no limit by default.
         """
 
         def around(tree: cKDTree, shortest: float) -> Sizing:
