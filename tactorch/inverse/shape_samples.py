@@ -2,13 +2,10 @@
 
 The posterior of the parameters z of shapes, in standard deviations of their prior, is
 p(z) ~ exp(-(|r(z)|^2 / s + |z|^2) / 2) J(z), with the residuals r of the presses' equilibria, the
-inflation s = max(1, chi2) of the variance of the noise, and a prior J beside the normal one.
-`ShapePosterior` is an approximation, in which r is linearised or quadratic along the ridges of
-inclusions. With ridges J is Jeffreys' prior, the root of the determinant of the linearised
-precision at z. Without any it is the determinant of the derivative of the coordinates of
-`ShapePosterior`, in which the prior is flat, and the approximation normal. The approximation is the
-first proposal of importance sampling, with an equilibrium of each press for each draw; see
-`tactorch.inverse.posterior.importance`.
+inflation s = max(1, chi2) of the variance of the noise, and a prior J beside the normal one. With
+ridges J is Jeffreys' prior, the root of the determinant of the linearised precision at z, otherwise
+the determinant of the derivative of the coordinates of `ShapePosterior`. This approximation is the
+first proposal of `tactorch.inverse.posterior.importance`.
 """
 
 import logging
@@ -18,7 +15,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse.fields import ShapeField
@@ -185,15 +182,10 @@ def sample_posterior(
 ) -> tuple[Draws, Weights]:
     """Return draws of parameters of shapes, and the logarithms of their weights.
 
-    The first proposals are Student t distributions about the normal posterior, in its coordinates,
-    and in the logarithms, with the moments of the samples of the approximation, which include those
-    about its ridges: the first has the shape of the posterior near its maximum, and the second
-    reaches inclusions of large contrast. Draws are within the limits of the approximation; see
-    `importance_sample` for the target.
-
-    Raises:
-        ConvergenceError: the density is zero at all draws, or hardly any have a radius and a
-            contrast.
+    The first proposals are Student t distributions within the limits of the approximation: one in
+    its coordinates, of its shape near the maximum, and one in the logarithms with the moments of
+    its samples, which reaches inclusions of large contrast. See `importance_sample` for the target
+    and the errors raised.
     """
     z = approximation.samples(_MOMENT_SAMPLES)
     normal = Normal(z.mean(axis=0), np.linalg.cholesky(np.atleast_2d(np.cov(z.T))))
@@ -210,10 +202,9 @@ class _InCoordinates(Student):
 
     @staticmethod
     def of(posterior: ShapePosterior) -> "_InCoordinates":
-        def is_possible(x: Draws) -> Bool[np.ndarray, " k"]:
-            return posterior.within_limits(posterior.parameters(x))
-
-        return _InCoordinates(posterior.normal, is_possible, posterior)
+        return _InCoordinates(
+            posterior.normal, lambda x: posterior.within_limits(posterior.parameters(x)), posterior
+        )
 
     def draw(self, count: int, rng: np.random.Generator) -> Draws:
         return self.posterior.parameters(super().draw(count, rng))
@@ -290,11 +281,7 @@ class _ExactPosterior:
 
 
 def _predict(problem: ShapeProblem, result: ShapeReconstruction) -> Evaluation:
-    """Return the predictions at a result with its errors of the data, which are corrected.
-
-    Raises:
-        ConvergenceError: a press has no equilibrium, on the mesh or on the finer ones.
-    """
+    """Return the predictions at a result with its errors of the data, which are corrected."""
     errors = problem.errors.at_least(result.errors)
     full = problem.full.with_data(problem.data(errors))
     field, z = result.posterior.field, result.posterior.z

@@ -203,10 +203,7 @@ class ShapeReconstruction(Displayed):
 
     @cached_property
     def samples(self) -> Float[np.ndarray, "draws size"]:
-        """Samples of the posterior, in standard deviations of the prior of `posterior.field`.
-
-        See `tactorch.inverse.posterior.shapes`.
-        """
+        """Samples of the posterior, in standard deviations of the prior of `posterior.field`."""
         return self.posterior.samples(_DRAWS)
 
     @cached_property
