@@ -61,6 +61,5 @@ def _gradients(
     offsets = points - weights @ points
     moments, axes = np.linalg.eigh((offsets * weights[:, None]).T @ offsets)
     # A flat contact has two axes; a single loaded point has none.
-    wide = moments > _MIN_MOMENT * moments[-1]
-    wide &= moments > 0.0
+    wide = (moments > _MIN_MOMENT * moments[-1]) & (moments > 0.0)
     return [np.ones(len(points)), *(offsets @ axes[:, wide] / np.sqrt(moments[wide])).T]

@@ -254,13 +254,11 @@ class _ShapeSteps(StepSolver):
     def linearize(
         self, point: Point, weight: float, gradient: Vector, free: Mask, lowering: bool
     ) -> None:
-        jacobian, family = point.jacobian, point.objective.field
-        assert isinstance(family, ShapesOnSites)
-        self._point, self._gradient, self._family = point, gradient, family
+        self._point, self._gradient, jacobian = point, gradient, point.jacobian
         self._hessian = jacobian.T @ jacobian + point.prior_curvature(weight).toarray()
         self._basis = np.eye(len(gradient))[:, free]
-        if family.held is not None:
-            self._basis = self._basis @ null_space((family.held @ self._basis)[None])
+        if (held := self._shapes_point.field.held) is not None:
+            self._basis = self._basis @ null_space((held @ self._basis)[None])
 
     def solve(self, damping: float) -> Vector:
         """Return the damped step of the parameters that are neither at a bound nor held."""
@@ -301,7 +299,7 @@ class _ShapeSteps(StepSolver):
 
     def _after(self, step: Vector) -> Vector:
         """Return the parameters after a step, within bounds."""
-        x, family = self._point.x, self._family
+        x, family = self._point.x, self._shapes_point.field
         z = x + step if family.held is not None else family.shapes.moved(x, step)
         return np.clip(z, *family.limits)
 

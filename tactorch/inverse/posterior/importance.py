@@ -32,7 +32,6 @@ _PRIOR_K, _PRIOR_TAIL = 0.5, 10.0  # prior mean of k, and the number of weights 
 _MIN_TAIL = 5  # largest weights to which a Pareto distribution is fitted
 
 Weights = Float[np.ndarray, " k"]  # or their logarithms, of each draw
-IsPossible = Callable[[Draws], Bool[np.ndarray, " k"]]
 LogDensity = Callable[[Float[np.ndarray, " size"]], float]
 
 
@@ -69,7 +68,7 @@ class Student:
     """Multivariate Student t distribution of five degrees of freedom, of possible values only."""
 
     normal: Normal  # mean and covariance are the centre and the scale
-    is_possible: IsPossible
+    is_possible: Callable[[Draws], Bool[np.ndarray, " k"]]
 
     def draw(self, count: int, rng: np.random.Generator) -> Draws:
         """Return draws.

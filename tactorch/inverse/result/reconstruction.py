@@ -341,8 +341,10 @@ def _read_description(reader: Hdf5Reader, mesh: TetMesh, version: int) -> Recons
         log_deviation=array("log_deviation", mesh.n_tets),
         shapes=shapes,
     )
-    if version == 1:
-        return _of_earlier_version(result)
+    if version == 1:  # an element map; the depths of its lumps are unknown without the presses
+        found = find_lumps(mesh, result.youngs)
+        lumps = tuple(build_lump(mesh, (), inclusion) for inclusion in found)
+        return replace(result, lumps=lumps, background_mpa=float(np.median(result.youngs)))
     finding = reader.json("finding")
     with _refused(reader, "lumps"):
         lumps = tuple(Lump.of_stored(lump, mesh.n_tets) for lump in finding["lumps"])
@@ -358,10 +360,3 @@ def _refused(reader: Hdf5Reader, what: str) -> Iterator[None]:
     except (KeyError, TypeError, ValueError, IndexError) as error:
         text = f"has no valid {what} ({error!r}); invert the recording again"
         raise reader.error(text) from error
-
-
-def _of_earlier_version(result: Reconstruction) -> Reconstruction:
-    """Return an element map with its lumps, whose depths are unknown without the presses."""
-    found = find_lumps(result.mesh, result.youngs)
-    lumps = tuple(build_lump(result.mesh, (), inclusion) for inclusion in found)
-    return replace(result, lumps=lumps, background_mpa=float(np.median(result.youngs)))

@@ -52,10 +52,13 @@ def force_errors(point: Point, weight: float) -> ForceErrors | None:
 
     None for more than 6,000 parameters, and where a press has no forces.
     """
-    has_forces = all(press.forces.any() for press in point.objective.problem.recording.presses)
+    presses = point.objective.problem.recording.presses
+    has_forces = all(press.forces.any() for press in presses)
     if len(point.x) > _MAX_PARAMETERS or not has_forces or len(point.z):
         return None
-    patterns = _scale_patterns(point)
+    # Errors of each press as a whole: those of single nodal forces could explain an inclusion.
+    columns = [point.evaluation.load_response(i, [p.forces]) for i, p in enumerate(presses)]
+    patterns = block_diag(columns).toarray()
     # The optimizer may have ended before the optimum.
     exact, x = _optimum(point, weight, 0.0 * patterns[:, :1])
     others = [_optimum(point, weight, level * patterns) for level in Forces.levels]
@@ -66,16 +69,6 @@ def force_errors(point: Point, weight: float) -> ForceErrors | None:
     covariance = np.cov(logs, aweights=volumes)
     shared = float(covariance[0, 1] ** 2 / max(covariance[0, 0] * covariance[1, 1], 1e-300))
     return ForceErrors(Forces.levels[best], exact - lowest, shared)
-
-
-def _scale_patterns(point: Point) -> Float[np.ndarray, "data presses"]:
-    """Return the change of the data by an error of the forces of each press as a whole.
-
-    Errors of single nodal forces are not among them: they could explain an inclusion.
-    """
-    presses = enumerate(point.objective.problem.recording.presses)
-    columns = [point.evaluation.load_response(i, [press.forces]) for i, press in presses]
-    return block_diag(columns).toarray()
 
 
 def _optimum(

@@ -179,6 +179,5 @@ class MatchedFilter:
 def _differ(other: Candidate, center: _Vector, radius: float, half: _Vector) -> bool:
     """Whether a candidate is at another place, or of another kind (ball or rod)."""
     apart = float(np.linalg.norm(other.center_mm - center))
-    if other.half_mm.any() != half.any():
-        return True
-    return apart > radius + 0.5 * float(np.linalg.norm(half))
+    is_of_other_kind = bool(other.half_mm.any() != half.any())
+    return is_of_other_kind or apart > radius + 0.5 * float(np.linalg.norm(half))

@@ -243,9 +243,8 @@ def with_family(
     field: ShapeField, z: Vector, inclusion: int, family: Family
 ) -> tuple[ShapeField, np.ndarray]:
     """Return the model with an inclusion of another family, whose further parameters are zero."""
-    families = list(field.families)
-    families[inclusion] = family
-    return field.changed(z, families=tuple(families))
+    before, after = field.families[:inclusion], field.families[inclusion + 1 :]
+    return field.changed(z, families=(*before, family, *after))
 
 
 def as_judged(field: ShapeField, z: Vector) -> tuple[ShapeField, np.ndarray]:
