@@ -31,7 +31,7 @@ import numpy as np
 from calibration_objects import KINDS, Outcome
 from machine import OtherWork, describe_machine
 
-from tactorch.inverse.posterior import calibration_curve, calibration_error, coverage
+from tactorch.metrics.coverage import calibration_curve, calibration_error, coverage
 from tactorch.viz import calibration_figure, save_figure
 
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")

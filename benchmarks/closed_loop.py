@@ -34,7 +34,7 @@ import numpy as np
 from machine import write_results
 
 from tactorch.inverse import Settings
-from tactorch.inverse.search.draft import DraftOptions
+from tactorch.inverse.search.draft_errors import DraftOptions
 from tactorch.mesh import Box, Sphere, box_mesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import MaterialSpec

@@ -30,7 +30,7 @@ PAGES = {
     "inverse": ("Inversion", ["tactorch.inverse"]),
     "uncertainty": (
         "Uncertainty and active sampling",
-        ["tactorch.inverse.posterior", "tactorch.sampling"],
+        ["tactorch.inverse.posterior", "tactorch.metrics.coverage", "tactorch.sampling"],
     ),
     "robot": ("Robots", ["tactorch.robot"]),
     "fem": (

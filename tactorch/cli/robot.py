@@ -10,7 +10,7 @@ from tactorch.cli.settings import material_spec
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.fem import MATERIALS  # noqa: F401  (the registry of the section)
-from tactorch.inverse.search.draft import DraftOptions
+from tactorch.inverse.search.draft_errors import DraftOptions
 from tactorch.mesh import TetMesh, face_nodes, read_mesh
 from tactorch.phantoms import Phantom
 from tactorch.robot import RobotPresser, RobotSession, SimulatedRobot, StopRule, pressable_patches

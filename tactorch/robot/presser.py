@@ -12,7 +12,7 @@ from jaxtyping import Bool
 from tactorch.errors import RobotError, RobotTimeoutError
 from tactorch.fem import SoftBody, Supports, make_material
 from tactorch.fem.transfer import Transfer
-from tactorch.inverse.search.draft import Prediction
+from tactorch.inverse.search.draft_errors import Prediction
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press
 from tactorch.recording.refine import prolong_fixed
@@ -133,9 +133,9 @@ class RobotPresser:
     def fine_prediction(self, press: Press, youngs_mpa: float) -> Prediction | None:
         """Return predictions of a mesh that is fine at the rim of the contact, and of the mesh.
 
-        See `tactorch.inverse.search.draft.FinePrediction`. Displacements of the finer mesh are
-        taken at the measured points and smoothed as the measured ones are. The reported position
-        may be wrong across the push.
+        See `tactorch.inverse.search.draft_errors.FinePrediction`. Displacements of the finer mesh
+        are taken at the measured points and smoothed as the measured ones are. The reported
+        position may be wrong across the push.
         """
         seen = self.seen.get(press.name)
         if seen is None:

@@ -10,7 +10,8 @@ import numpy as np
 from tactorch.errors import ConfigError, FileError, RecordingError, RobotError
 from tactorch.files import read_json, write_json
 from tactorch.inverse import Settings
-from tactorch.inverse.search.draft import DraftOptions, DraftShapes
+from tactorch.inverse.search.draft import DraftShapes
+from tactorch.inverse.search.draft_errors import DraftOptions
 from tactorch.recording import Recording, append_press
 from tactorch.robot.presser import RobotPresser
 from tactorch.robot.stop import StopRule

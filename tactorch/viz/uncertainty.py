@@ -88,7 +88,7 @@ def calibration_figure(curves: Mapping[str, Float[np.ndarray, " k"]], *, title: 
     """Return a figure of the coverage of intervals by level; exact ones are on the diagonal.
 
     Args:
-        curves: Results of `tactorch.inverse.posterior.calibration_curve` by label, at its levels.
+        curves: Results of `tactorch.metrics.coverage.calibration_curve` by label, at its levels.
         title: Title of the figure.
     """
     require_curves("calibration_figure", curves)

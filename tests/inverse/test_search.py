@@ -9,7 +9,8 @@ import pytest
 from tactorch.errors import CancelledError
 from tactorch.inverse import Settings, find_shapes
 from tactorch.inverse.fit.shapes import Evidence
-from tactorch.inverse.search.draft import DraftOptions, DraftShapes
+from tactorch.inverse.search.draft import DraftShapes
+from tactorch.inverse.search.draft_errors import DraftOptions
 from tactorch.inverse.search.model import gain, noise_weights
 from tactorch.inverse.search.problem import ShapeProblem
 from tactorch.inverse.search.proposals import propose

@@ -35,10 +35,10 @@ from tactorch.inverse.search.correction import Correction, _LoadSeries
 from tactorch.inverse.search.model import (
     Model,
     Start,
+    less,
     make_posterior,
     varied,
     with_family,
-    without,
 )
 from tactorch.inverse.search.problem import ShapeProblem
 from tactorch.inverse.search.search import _first
@@ -205,7 +205,8 @@ def test_models_are_changed_without_a_change_of_what_remains():
     ):
         assert other.size > field.size
         np.testing.assert_allclose(other.log_youngs(same, sites), before, atol=1e-12)
-    fewer, rest = without(field, z, [0])
+    start = less(Model(SimpleNamespace(field=field, z=z), None, {}), [0])
+    fewer, rest = start.field, start.z
     assert fewer.families == (BALL,)
     first, second = field.shapes(z)
     assert list(fewer.shapes(rest)) == [second]

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError
-from tactorch.inverse.posterior import calibration_curve, coverage
+from tactorch.metrics.coverage import calibration_curve, coverage
 
 ZERO, ONE = np.zeros(2), np.ones(2)
 

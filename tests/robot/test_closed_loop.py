@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import RobotError
-from tactorch.inverse.search.draft import DraftOptions
+from tactorch.inverse.search.draft_errors import DraftOptions
 from tactorch.mesh import box_mesh
 from tactorch.phantoms.cubes import CubeSphere, UniformCube
 from tactorch.recording import MaterialSpec, Recording

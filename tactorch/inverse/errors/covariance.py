@@ -25,11 +25,7 @@ class ErrorModel:
         least: Their deviations in the simplest model.
     """
 
-    def __init__(
-        self,
-        presses: MeasuredPresses,
-        errors: Iterable[ErrorSource],
-    ) -> None:
+    def __init__(self, presses: MeasuredPresses, errors: Iterable[ErrorSource]) -> None:
         least = {error: error.least(presses) for error in errors}
         self.presses = presses
         self.errors = tuple(error for error, level in least.items() if level is not None)

@@ -413,12 +413,12 @@ class Evaluation:
         Raises:
             ConfigError: a press is by a probe, or has a measured force.
         """
-        for solution, observation in zip(self._presses, self.data.observations, strict=True):
-            if solution.newton.contact is not None or observation.force is not None:
-                raise ConfigError(
-                    "The exact Hessian is not known for presses by a probe, or with measured "
-                    "forces; choose an optimizer or a Hessian by Gauss-Newton."
-                )
+        probed = any(press.newton.contact is not None for press in self._presses)
+        if probed or any(observation.force is not None for observation in self.data.observations):
+            raise ConfigError(
+                "The exact Hessian is not known for presses by a probe, or with measured forces; "
+                "choose an optimizer or a Hessian by Gauss-Newton."
+            )
         pairs = zip(self.sensitivities, self._adjoints, strict=True)
         return np.sum([s.linearization.second_order(a, change) for s, a in pairs], axis=0)
 

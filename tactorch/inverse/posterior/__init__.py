@@ -1,4 +1,4 @@
-"""Posteriors of element maps and inclusions, the paper's credibility, and coverage of intervals.
+"""Posteriors of element maps and inclusions, and the paper's credibility.
 
 `tactorch.inverse.compute_posterior` chooses among `LaplacePosterior`, `LowRankPosterior` (large
 meshes) and `variational_posterior` (total variation, with estimated scales).
@@ -11,18 +11,13 @@ from tactorch.inverse.posterior.low_rank import LowRankPosterior
 from tactorch.inverse.posterior.select import posterior_at
 from tactorch.inverse.posterior.sensitivity import credibility, layer_profile
 from tactorch.inverse.posterior.variational import VariationalPosterior, variational_posterior
-from tactorch.metrics.coverage import Coverage, calibration_curve, calibration_error, coverage
 
 __all__ = [
-    "Coverage",
     "GaussianPosterior",
     "GaussianState",
     "LaplacePosterior",
     "LowRankPosterior",
     "VariationalPosterior",
-    "calibration_curve",
-    "calibration_error",
-    "coverage",
     "credibility",
     "layer_profile",
     "posterior_at",

@@ -27,7 +27,6 @@ from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.draft_errors import (
     DraftOptions,
     FinePrediction,
-    Prediction,
     PressErrors,
     with_errors,
 )
@@ -37,8 +36,6 @@ from tactorch.inverse.search.proposals import further, removed
 from tactorch.inverse.search.search import search
 from tactorch.recording import Recording
 from tactorch.recording.append import digest
-
-__all__ = ["DraftOptions", "DraftShapes", "FinePrediction", "Prediction"]
 
 _RTOL, _DERIVATIVE_RTOL = 1e-5, 5e-3
 _MAX_SHAPES = 2
@@ -75,16 +72,13 @@ class _Presses(SearchProblem):
         self._moved, self._pose_mm = moved, pose_mm
 
     def first(self, start: Start) -> Model:
-        """Fit the first model from the displacements of the last search."""
-        return self.fit(start, self._moved)
+        return self.fit(start, self._moved)  # from the displacements of the last search
 
     def data(self, errors: Levels) -> DataModel:
-        """Return the data with their errors."""
         return self.full.data
 
     def final(self, model: Model) -> Model:
-        """Return the model, which is exact enough."""
-        return model
+        return model  # exact enough
 
     def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
         """Return the posterior, with the error of the positions of presses."""

@@ -231,17 +231,12 @@ def varied(field: ShapeField, z: Vector, **background: Any) -> tuple[ShapeField,
 
 def less(model: Model, removed: Sequence[int]) -> Start:
     """Return a model without some of its inclusions."""
-    field, z = without(model.fit.field, model.fit.z, removed)
-    numbers = ", ".join(map(str, removed))
-    return Start(f"inclusion {numbers} removed", field, z, model.errors)
-
-
-def without(field: ShapeField, z: Vector, removed: Sequence[int]) -> tuple[ShapeField, np.ndarray]:
-    """Return the model without some of its inclusions."""
-    kept, values = [k for k in range(len(field.parts)) if k not in removed], field.physical(z)
+    field, values = model.fit.field, model.fit.field.physical(model.fit.z)
+    kept, numbers = [k for k in range(len(field.parts)) if k not in removed], map(str, removed)
     fewer = replace(field, families=tuple(field.families[k] for k in kept))
     parts = [values[: field.n_background], *(values[field.parts[k]] for k in kept)]
-    return fewer, fewer.standard(np.concatenate(parts))
+    z = fewer.standard(np.concatenate(parts))
+    return Start(f"inclusion {', '.join(numbers)} removed", fewer, z, model.errors)
 
 
 def with_family(

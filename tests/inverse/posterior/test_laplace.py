@@ -13,8 +13,9 @@ from tactorch.inverse import (
     Objective,
 )
 from tactorch.inverse.fields import ElementField
-from tactorch.inverse.posterior import LaplacePosterior, calibration_error, coverage
+from tactorch.inverse.posterior import LaplacePosterior
 from tactorch.inverse.posterior.laplace import check_weight
+from tactorch.metrics.coverage import calibration_error, coverage
 
 M = 12
 LOG = Log()
