@@ -98,11 +98,6 @@ class IncrementalInversion:
         self._state = _State()
 
     @property
-    def presses(self) -> tuple[Press, ...]:
-        """All presses so far."""
-        return self._state.presses
-
-    @property
     def recording(self) -> Recording:
         """The object with all presses so far, of which there must be one."""
         return self._with(self._state.presses)

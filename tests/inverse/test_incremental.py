@@ -76,7 +76,7 @@ def test_restarted_updates_are_whole_inversions_from_the_map_before(
     growing = IncrementalInversion(noisy, settings, max_iterations=1, restart=True)
     start: Any = 0.2
     for count in (1, 3):
-        update = growing.add(noisy.presses[len(growing.presses) : count])
+        update = growing.add(noisy.presses[len(growing._state.presses) : count])
         whole = invert_map(noisy.select(list(range(count))), settings, start_mpa=start)
         np.testing.assert_allclose(update.result.youngs, whole.youngs, rtol=1e-6)
         assert update.result.iterations == whole.iterations
@@ -134,7 +134,7 @@ def test_what_fails_changes_nothing(
     fail_evaluation(8, KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
         growing.add([noisy.presses[1]])
-    assert len(growing.presses) == 1
+    assert len(growing._state.presses) == 1
     for name, values in growing.state().items():
         np.testing.assert_array_equal(values, before[name])
 
@@ -200,7 +200,7 @@ def test_a_state_without_model_errors_is_refused_where_they_are_corrected(
     corrected = IncrementalInversion(noisy)
     with pytest.raises(ConfigError, match=r"model errors of \[0, 0\] data.*start again"):
         corrected.restore(noisy.presses[:2], growing.state())
-    assert not corrected.presses
+    assert not corrected._state.presses
 
 
 def test_settling_can_be_broken_off_and_goes_on(noisy: Recording) -> None:
@@ -247,4 +247,4 @@ def test_a_press_that_moved_nothing_is_refused_by_name(noisy: Recording) -> None
     still = replace(noisy.presses[1], displacement=np.zeros_like(noisy.presses[1].displacement))
     with pytest.raises(RecordingError, match=r"press 2.*displacements are zero"):
         growing.add([still])
-    assert len(growing.presses) == 1
+    assert len(growing._state.presses) == 1

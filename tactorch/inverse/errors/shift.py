@@ -73,8 +73,7 @@ class ContactShift(ErrorSource):
         }
         moved = evaluation.at_rest_shapes(points)
         for i in points.keys() - moved.keys():
-            label = recording.presses[i].label
-            _log.info("%s has no equilibrium where it is shifted: the shift is linearised", label)
+            _log.info("%s fails where it is shifted, and is linearised", recording.presses[i].label)
         return {i: data - evaluation.predicted[i] for i, data in moved.items()}
 
 
