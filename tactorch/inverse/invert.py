@@ -244,10 +244,22 @@ def invert_map(
     with progress_line(label, show_progress) as update:
         update("model of the presses")
         objective = make_objective(recording, settings)
-        monitor = _make_monitor(recording, settings, objective)
-        monitor.checkpoint = None if checkpoint is None else Path(checkpoint)
-        monitor.on_iteration = on_iteration
-        monitor.on_record = lambda record: update(progress_text(record))
+        monitor = Monitor(
+            max_seconds=settings.max_seconds,
+            checkpoint=None if checkpoint is None else Path(checkpoint),
+            on_record=lambda record: update(progress_text(record)),
+            on_iteration=on_iteration,
+            identity={
+                "mesh": recording.mesh.content_hash()[:12],
+                "parameterization": str(objective.elements.parameterization),
+                "model error": resolve_model_error(
+                    settings.model_error, recording, settings.element
+                ),
+                "nuisance": str(settings.nuisance),
+                "misfit": MISFITS.name_of(type(settings.misfit)),
+            },
+            task=_task_digest(recording, settings),
+        )
         if resume is not None:
             monitor.restore(Path(resume), objective.size)
             objective.problem.evaluations = monitor.evaluations
@@ -263,21 +275,6 @@ def invert_map(
             monitor.save()
     result = of_elements(objective, settings, optimizer, monitor)
     return replace(result, config={"start_mpa": _describe_start(start_mpa), **result.config})
-
-
-def _make_monitor(recording: Recording, settings: Settings, objective: Objective) -> Monitor:
-    """Return the monitor with what a checkpoint must share to be resumed."""
-    return Monitor(
-        max_seconds=settings.max_seconds,
-        identity={
-            "mesh": recording.mesh.content_hash()[:12],
-            "parameterization": str(objective.elements.parameterization),
-            "model error": resolve_model_error(settings.model_error, recording, settings.element),
-            "nuisance": str(settings.nuisance),
-            "misfit": MISFITS.name_of(type(settings.misfit)),
-        },
-        task=_task_digest(recording, settings),
-    )
 
 
 def warn_of_assumed_noise(noise: NoiseModel, recording: Recording) -> None:

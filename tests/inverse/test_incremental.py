@@ -75,8 +75,8 @@ def test_restarted_updates_are_whole_inversions_from_the_map_before(
     settings = Settings(model_error=model_error, optimizer=LBFGS(max_iterations=3))
     growing = IncrementalInversion(noisy, settings, max_iterations=1, restart=True)
     start: Any = 0.2
-    for count in (1, 3):
-        update = growing.add(noisy.presses[len(growing._state.presses) : count])
+    for before, count in ((0, 1), (1, 3)):
+        update = growing.add(noisy.presses[before:count])
         whole = invert_map(noisy.select(list(range(count))), settings, start_mpa=start)
         np.testing.assert_allclose(update.result.youngs, whole.youngs, rtol=1e-6)
         assert update.result.iterations == whole.iterations
@@ -134,7 +134,7 @@ def test_what_fails_changes_nothing(
     fail_evaluation(8, KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
         growing.add([noisy.presses[1]])
-    assert len(growing._state.presses) == 1
+    assert len(growing.recording.presses) == 1
     for name, values in growing.state().items():
         np.testing.assert_array_equal(values, before[name])
 
@@ -247,4 +247,4 @@ def test_a_press_that_moved_nothing_is_refused_by_name(noisy: Recording) -> None
     still = replace(noisy.presses[1], displacement=np.zeros_like(noisy.presses[1].displacement))
     with pytest.raises(RecordingError, match=r"press 2.*displacements are zero"):
         growing.add([still])
-    assert len(growing._state.presses) == 1
+    assert len(growing.recording.presses) == 1

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -205,7 +206,8 @@ def test_models_are_changed_without_a_change_of_what_remains():
     ):
         assert other.size > field.size
         np.testing.assert_allclose(other.log_youngs(same, sites), before, atol=1e-12)
-    start = less(Model(SimpleNamespace(field=field, z=z), None, {}), [0])
+    model = Mock(spec=Model, fit=SimpleNamespace(field=field, z=z), errors={})
+    start = less(model, [0])
     fewer, rest = start.field, start.z
     assert fewer.families == (BALL,)
     first, second = field.shapes(z)

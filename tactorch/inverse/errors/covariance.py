@@ -15,13 +15,9 @@ from tactorch.inverse.forward.problem import Evaluation
 class ErrorModel:
     """Errors of the data at any deviations.
 
-    Args:
-        presses: The presses.
-        errors: Errors that may occur.
-
     Attributes:
         presses: The presses.
-        errors: Errors that occur.
+        errors: Errors that occur, of those that may.
         least: Their deviations in the simplest model.
     """
 

@@ -100,7 +100,10 @@ def discretisation_error(
     youngs = youngs_mpa
     for trial in range(_MAX_TRIALS):
         try:
-            linear, fine = (_predict(p, youngs, nuisance) for p in (problem, quadratic))
+            linear, fine = (
+                p.evaluate(np.full(p.n_elements, youngs), nuisance=nuisance, chained=True).predicted
+                for p in (problem, quadratic)
+            )
             break
         except ConvergenceError:
             # The modulus fits the stiffer model; near its limit the softer one may collapse.
@@ -117,14 +120,6 @@ def discretisation_error(
         sizes = [float(np.linalg.norm(p)) / np.sqrt(max(len(p), 1)) for p in parts]
         errors.append(ModelError(offset, *(remaining * size for size in sizes)))
     return tuple(errors)
-
-
-def _predict(
-    problem: InverseProblem, youngs_mpa: float, nuisance: Nuisance | None
-) -> list[np.ndarray]:
-    """Predicted data of each press."""
-    uniform = np.full(problem.n_elements, youngs_mpa)
-    return problem.evaluate(uniform, nuisance=nuisance, chained=True).predicted
 
 
 def corrected(problem: InverseProblem, errors: Sequence[ModelError]) -> InverseProblem:

@@ -66,19 +66,15 @@ class Point:
         inner, k = self.field.penalty_curvature, len(self.z)
         return sp.block_diag((inner, sp.csr_matrix((k, k))), format="csr") if k else inner
 
-    def prior_value(self, weight: float) -> float:
-        """Return the objective without the misfit: the weighted penalty and the prior of z."""
-        return weight * self.penalty + 0.5 * float(self.z @ self.z)
-
     def prior_gradient(self, weight: float) -> Float[np.ndarray, " size"]:
-        """Return the gradient of `prior_value`."""
+        """Return the gradient of the weighted prior on the map and of that of z."""
         # A prior without weight may have an infinite gradient.
         gradient = weight * self.penalty_gradient if weight else np.zeros_like(self.x)
         gradient[self.objective.field.size :] += self.z
         return gradient
 
     def prior_curvature(self, weight: float) -> sp.csr_matrix:
-        """Return the curvature of `prior_value`."""
+        """Return the curvature of the weighted prior on the map and of that of z."""
         curvature = weight * self.penalty_curvature
         normal = np.arange(len(self.x)) >= self.objective.field.size
         return (curvature + sp.diags(1.0 * normal)).tocsr() if len(self.z) else curvature
@@ -134,7 +130,8 @@ class Point:
     def value(self, weight: float) -> float:
         """Return the objective with this weight of the prior."""
         residuals = self.evaluation.residuals
-        return 0.5 * float(residuals @ residuals) + self.prior_value(weight)
+        prior = weight * self.penalty + 0.5 * float(self.z @ self.z)
+        return 0.5 * float(residuals @ residuals) + prior
 
     def nuisance_estimates(self, weight: float) -> dict[str, NuisanceEstimate]:
         """Return the nuisance parameters by name, at a solution with this weight of the prior.

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from threading import Lock
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -36,12 +36,8 @@ _QUICK_STARTS = 2  # fits of an inclusion for a provisional answer
 # models are accepted; and within a fifth of a standard deviation, for the last fit.
 ROUGH, FINE = 0.5, 0.02
 
-
-class Proposals(Protocol):
-    """A source of models that may be better than the present one."""
-
-    def __call__(self, problem: "SearchProblem", model: Model) -> Iterable[Start]:
-        """Yield models to be fitted with the reduced model of a problem."""
+#: A source of models that may be better than the present one, to be fitted with the reduced model.
+Proposals: TypeAlias = Callable[["SearchProblem", Model], Iterable[Start]]
 
 
 class SearchProblem(ABC):
@@ -198,22 +194,16 @@ class SearchProblem(ABC):
         else:
             z, starts = np.clip(start.z, *family.limits), model.evaluation.displacements
             evaluation = problem.evaluate(family.at(z).youngs, starts=starts)
-        first = Model(self._coarse_fit(start, z, evaluation), evaluation, start.errors)
-        if is_worse(first.fit, first.fit.predicted_fall):
-            return first
+        point = ShapesOnSites(start.field, self._reduced_sites).at(z)
+        coarse = self.reduced.evaluate(point.youngs).with_data(problem.data)
+        first = ShapeFit.at(point, evaluation, point.jacobian(coarse))
+        if is_worse(first, first.predicted_fall):
+            return Model(first, evaluation, start.errors)
         fit = fit_shapes(
             problem, start.field, z, sites=self.sites, evaluation=evaluation,
             tolerance=self.tolerance, give_up=is_worse,
         )  # fmt: skip
         return Model(*fit, start.errors)
-
-    def _coarse_fit(
-        self, start: Start, z: Float[np.ndarray, " size"], evaluation: Evaluation
-    ) -> ShapeFit:
-        """Return a fit of the full model with derivatives of the reduced model."""
-        point = ShapesOnSites(start.field, self._reduced_sites).at(z)
-        coarse = self.reduced.evaluate(point.youngs).with_data(evaluation.data)
-        return ShapeFit.at(point, evaluation, point.jacobian(coarse))
 
     def _fit_further(self, model: Model, what: str, tolerance: float | None) -> Model:
         """Return a model fitted again to the present data, from its equilibria."""

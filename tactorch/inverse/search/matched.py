@@ -95,10 +95,8 @@ def _inside(mesh: TetMesh, grid: Float[np.ndarray, "n 3"], radius: float, half: 
     distance = _distance_to_rods(mesh.centroids, grid, half)
     fractions = np.clip(0.5 + (radius - distance) / width, 0.0, 1.0)
     volume = np.pi * radius**2 * (4.0 / 3.0 * radius + 2.0 * float(np.linalg.norm(half)))
-    inside = fractions.T @ mesh.volumes > 0.5 * volume
-    count = int(inside.sum())
-    halves = np.repeat(half[None], count, axis=0)
-    return Balls(grid[inside], np.full(count, radius), halves, fractions[:, inside])
+    balls = Balls(grid, np.full(len(grid), radius), np.tile(half, (len(grid), 1)), fractions)
+    return balls.only(fractions.T @ mesh.volumes > 0.5 * volume)
 
 
 def _distance_to_rods(

@@ -232,11 +232,11 @@ def varied(field: ShapeField, z: Vector, **background: Any) -> tuple[ShapeField,
 def less(model: Model, removed: Sequence[int]) -> Start:
     """Return a model without some of its inclusions."""
     field, values = model.fit.field, model.fit.field.physical(model.fit.z)
-    kept, numbers = [k for k in range(len(field.parts)) if k not in removed], map(str, removed)
+    kept = [k for k in range(len(field.parts)) if k not in removed]
     fewer = replace(field, families=tuple(field.families[k] for k in kept))
     parts = [values[: field.n_background], *(values[field.parts[k]] for k in kept)]
-    z = fewer.standard(np.concatenate(parts))
-    return Start(f"inclusion {', '.join(numbers)} removed", fewer, z, model.errors)
+    what = f"inclusion {', '.join(map(str, removed))} removed"
+    return Start(what, fewer, fewer.standard(np.concatenate(parts)), model.errors)
 
 
 def with_family(
