@@ -22,6 +22,9 @@ from tactorch.linalg.solver import IndefiniteError
 _MAX_ITERATIONS, _DEPTH = 20, 6
 _MOVE_RTOL = 0.1  # of the moves, by iterative solvers: Anderson's combination corrects them
 _WORSE = 10.0  # rise of the unbalanced force over the least one at which a case is left
+# Least eigenvalue of the normal matrix of the changes of moves, over the largest, that is above
+# round-off.
+_DEPENDENT = 1e-14
 _NEAR = 1.5  # ratio of moduli up to which a factorisation serves as well as a new one
 NodalField = Float[np.ndarray, "nodes 3"]
 
@@ -52,7 +55,8 @@ class _Case:
         if self.moves:
             changes = np.stack([step - f for _, f in self.moves], axis=1)
             paths = np.stack([u - before for before, _ in self.moves], axis=1)
-            weights = np.linalg.lstsq(changes, step, rcond=1e-8)[0]
+            normal = changes.T @ changes
+            weights = np.linalg.lstsq(normal, changes.T @ step, rcond=_DEPENDENT)[0]
             new -= (paths + changes) @ weights
         self.moves = [*self.moves, (u, step)][-_DEPTH:]
         self.u = new.reshape(-1, 3)

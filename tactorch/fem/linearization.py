@@ -25,9 +25,6 @@ _MAX_ITERATIONS = 12  # of conjugate gradients
 # Right-hand sides for which a factorisation in single precision costs less than the iterations that
 # it saves.
 _MIN_COLUMNS = 4
-# Iterations of single columns that cost more than a factorisation in single precision: 65 cost as
-# much for quadratic elements with 69,000 unknowns.
-_FACTOR_COLUMNS = 75
 _UNSTABLE = (
     "The equilibrium is unstable (its tangent is not positive definite), so no derivative exists "
     "there; lower the load."
@@ -77,7 +74,7 @@ class Linearization:
             rhs[self.fixed] = 0.0
         with self.lease.hold() as lease:
             if rtol > 0.0 and rhs.ndim == 2 and rhs.shape[1] >= _MIN_COLUMNS:
-                self._renew(lease, rhs.shape[1])
+                self._renew(lease)
             if rtol >= 1.0 and lease.factored is not None:
                 return lease.solve(rhs)
             iterate = partial(lease.solve_similar, self.tangent, rhs, rtol, _MAX_ITERATIONS)
@@ -91,20 +88,14 @@ class Linearization:
             except IndefiniteError as error:
                 raise ConvergenceError(_UNSTABLE) from error
 
-    def _renew(self, lease: Lease, columns: int) -> None:
+    def _renew(self, lease: Lease) -> None:
         """Factor a tangent in single precision, once for all load cases at these moduli.
 
-        It preconditions their solutions, and later searches at similar moduli. Where they take so
-        many iterations that factorisations cost less, the tangent of each case is factored.
+        It preconditions their solutions, and later searches at similar moduli.
         """
-        if not (lease.single_precision and lease.direct) or lease.factored is self.tangent:
-            return
-        iterations = columns * (lease.iterations - 1)
-        if lease.about is not self.youngs:
+        if lease.single_precision and lease.direct and lease.about is not self.youngs:
             common = self.common()
             lease.factor(self.tangent if common is None else common, self.youngs)
-        elif iterations > _FACTOR_COLUMNS:
-            lease.factor(self.tangent, self.youngs)
 
     def unit_work(self, fields: Float[np.ndarray, "size k"]) -> Float[np.ndarray, "moduli k"]:
         """Return the transpose of dR/de (eq. 11) times nodal fields."""

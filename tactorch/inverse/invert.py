@@ -244,8 +244,6 @@ def invert_map(
     with progress_line(label, show_progress) as update:
         update("model of the presses")
         objective = make_objective(recording, settings)
-        name = resolve_model_error(settings.model_error, recording, settings.element)
-        left = "" if name == "none" else f", {settings.residual_model_error_fraction:g} left"
         monitor = Monitor(
             max_seconds=settings.max_seconds,
             checkpoint=None if checkpoint is None else Path(checkpoint),
@@ -257,7 +255,9 @@ def invert_map(
             identity={
                 "mesh": recording.mesh.content_hash()[:12],
                 "parameterization": str(objective.elements.parameterization),
-                "model error": name + left,
+                "model error": resolve_model_error(
+                    settings.model_error, recording, settings.element
+                ),
                 "nuisance": str(settings.nuisance),
                 "misfit": MISFITS.name_of(type(settings.misfit)),
             },

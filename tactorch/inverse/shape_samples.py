@@ -2,10 +2,12 @@
 
 The posterior of the parameters z of shapes, in standard deviations of their prior, is
 p(z) ~ exp(-(|r(z)|^2 / s + |z|^2) / 2) J(z), with the residuals r of the presses' equilibria, the
-inflation s = max(1, chi2) of the variance of the noise, and a prior J beside the normal one. With
-ridges J is Jeffreys' prior, the root of the determinant of the linearised precision at z, otherwise
-the determinant of the derivative of the coordinates of `ShapePosterior`. This approximation is the
-first proposal of `tactorch.inverse.posterior.importance`.
+inflation s = max(1, chi2) of the variance of the noise, and a prior J beside the normal one.
+`ShapePosterior`, in which r is linearised or quadratic along ridges, is the first proposal of
+importance sampling, with an equilibrium of each press for each draw; see
+`tactorch.inverse.posterior.importance`. With ridges J is Jeffreys' prior, the root of the
+determinant of the linearised precision at z; without any it is that in which the coordinates of
+`ShapePosterior` are flat.
 """
 
 import logging
@@ -141,11 +143,9 @@ def sample_shapes(
 ) -> ShapeSamples:
     """Return weighted draws of the posterior of shapes, with the exact predictions of each.
 
-    Balls may be ellipsoids, as in `result.posterior`. The deviations of forces and poses are those
-    of the result. The predictions are corrected for the discretisation at the best shapes
-    of the result, those of `find_shapes` at nearly the same ones, and the effects of errors of the
-    forces are those on a uniform body. A warning is logged where the weights are not reliable, see
-    `ShapeSamples.reliable`.
+    Balls may be ellipsoids, as in `result.posterior`. Deviations of forces and poses are those of
+    the result, at whose shapes predictions are corrected for the discretisation. A warning is
+    logged where the weights are not reliable, see `ShapeSamples.reliable`.
 
     Args:
         recording: The presses.
@@ -182,10 +182,13 @@ def sample_posterior(
 ) -> tuple[Draws, Weights]:
     """Return draws of parameters of shapes, and the logarithms of their weights.
 
-    The first proposals are Student t distributions within the limits of the approximation: one in
-    its coordinates, of its shape near the maximum, and one in the logarithms with the moments of
-    its samples, which reaches inclusions of large contrast. See `importance_sample` for the target
-    and the errors raised.
+    The first proposals are Student t distributions about the normal posterior in its coordinates,
+    which has the shape of the posterior near its maximum, and in the logarithms with the moments of
+    its samples, which reaches inclusions of large contrast. See `importance_sample` for the target.
+
+    Raises:
+        ConvergenceError: the density is zero at all draws, or hardly any have a radius and a
+            contrast.
     """
     z = approximation.samples(_MOMENT_SAMPLES)
     normal = Normal(z.mean(axis=0), np.linalg.cholesky(np.atleast_2d(np.cov(z.T))))

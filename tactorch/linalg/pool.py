@@ -21,7 +21,6 @@ class Lease:
         self._pool = pool
         self.single_precision, self.direct = solver.single_precision, solver.direct
         self.about: object = None  # what the last factorisation is about, as given to `factor`
-        self.iterations = 0  # of the last solution with another matrix than the factored one
         self._take(solver)
 
     def _take(self, solver: Solver) -> None:
@@ -87,8 +86,6 @@ class Lease:
             partial(self._pool.pattern.product, values), self.solve, rhs,
             rtol=rtol, max_iterations=max_iterations,
         )  # fmt: skip
-        if values is not self.factored:
-            self.iterations = result.iterations
         return result.solution if result.converged else None
 
 

@@ -45,7 +45,7 @@ def test_without_a_factorisation_the_tangent_is_factored(state):
     np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
 
 
-def test_many_iterations_are_replaced_by_a_factorisation_of_each_tangent(state):
+def test_load_cases_at_the_same_moduli_share_a_factorisation(state):
     search, equilibrium, _youngs = state
     lease = SharedLease(search._pool, single_precision=True)
     loads = np.random.default_rng(0).normal(size=(8, *equilibrium.displacement.shape))
@@ -53,22 +53,17 @@ def test_many_iterations_are_replaced_by_a_factorisation_of_each_tangent(state):
 
     def near(share: float) -> Linearization:
         moved = search.run(share * equilibrium.displacement).require()
-        other = search.linearize(moved, 1e-3)
+        other = search.linearize(moved, 1e-6)
         other.lease, other.tangent = lease, other.tangent * (1.0 + share)
         return other
 
-    first, second, third = near(0.0), near(0.1), near(0.2)
+    first, second = near(0.0), near(0.1)
     first.force_response(loads)
+    found = second.force_response(loads)
     with lease.hold() as held:
         if not held.single_precision:
             pytest.skip("no solver in single precision")
         assert held.factored is first.tangent
-    second.force_response(loads)
-    with lease.hold() as held:
-        assert held.factored is first.tangent  # shared, as nothing is known of the iterations yet
-        assert held.iterations > 0
-        held.iterations = 20
-    third.force_response(loads)
-    with lease.hold() as held:
-        assert held.factored is third.tangent
-        assert held.iterations == 20  # that of other matrices
+    second.rtol = 0.0
+    expected = np.array(second.force_response(loads))
+    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())

@@ -271,5 +271,5 @@ def test_a_probe_between_the_nodes_has_a_footprint() -> None:
 def test_a_session_takes_presses_by_a_probe(recording: Recording) -> None:
     session = IncrementalInversion(recording)
     result = session.add(recording.presses[:2])
-    assert len(session.presses) == 2
+    assert len(session.recording.presses) == 2
     assert result.point.evaluation.chi2 < 2.0

@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from tactorch.linalg import analyse, available_solvers
+from tactorch.linalg import analyse, available_solvers, pardiso
 from tactorch.linalg.solver import IndefiniteError
 
 BACKENDS = available_solvers()
@@ -138,3 +138,26 @@ def test_threads_side_by_side_agree_with_one_after_another(backend, lattice):
     assert sorted(together) == [0, 1, 2, 3]
     for i in range(4):
         np.testing.assert_allclose(together[i], alone[i], rtol=0, atol=1e-13)
+
+
+@pytest.mark.skipif("pardiso" not in BACKENDS, reason="pardiso is not installed")
+def test_each_phase_of_pardiso_has_one_thread_whatever_that_of_the_caller_has(lattice, monkeypatch):
+    """MKL fails where threads of one number analyse a matrix and of another one factor it."""
+    threads, call = {}, pardiso._call
+
+    def recorded(pt, iparm, phase, *arguments):
+        threads[phase] = pardiso._library().MKL_Get_Max_Threads()
+        return call(pt, iparm, phase, *arguments)
+
+    monkeypatch.setattr(pardiso, "_call", recorded)
+    system = lattice(0)
+    previous = pardiso.set_local_threads(2)
+    try:
+        solver = analyse(system.pattern, "pardiso")
+        solver.factor(system.values)
+        solver.solve(np.ones(system.pattern.size))
+        assert pardiso._library().MKL_Get_Max_Threads() == 2
+    finally:
+        pardiso.set_local_threads(previous)
+    assert len(threads) == 3
+    assert set(threads.values()) == {1}

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse.errors.base import ErrorSource, MeasuredPresses
 from tactorch.inverse.forward.problem import Columns
 from tactorch.linalg import map_cases
@@ -66,21 +65,16 @@ class ContactShift(ErrorSource):
         along = _all_shifts(presses)
         parts = np.split(amplitudes, np.cumsum([len(each) for each in along])[:-1])
         contact_of = {i: k for k, contact in enumerate(presses.contacts) for i in contact}
-        shifted = [i for i, k in contact_of.items() if len(along[k])]
-
-        def work(index: int) -> Float[np.ndarray, " data"] | None:
-            i, k = shifted[index], contact_of[shifted[index]]
-            press = presses.problem.recording.presses[i]
-            points = _moved(presses.problem.recording.mesh, press, parts[k] @ along[k])
-            try:
-                moved = presses.evaluation.at_rest_shape(i, points)
-            except (ConfigError, ConvergenceError) as error:
-                _log.info("%s: its shift is linearised: %s", press.label, error)
-                return None
-            return moved - presses.evaluation.predicted[i]
-
-        found = zip(shifted, map_cases(work, len(shifted)), strict=True)
-        return {i: change for i, change in found if change is not None}
+        recording, evaluation = presses.problem.recording, presses.evaluation
+        points = {
+            i: _moved(recording.mesh, recording.presses[i], parts[k] @ along[k])
+            for i, k in contact_of.items()
+            if len(along[k])
+        }
+        moved = evaluation.at_rest_shapes(points)
+        for i in points.keys() - moved.keys():
+            _log.info("%s fails where it is shifted, and is linearised", recording.presses[i].label)
+        return {i: data - evaluation.predicted[i] for i, data in moved.items()}
 
 
 def shifts(mesh: TetMesh, press: Press) -> Float[np.ndarray, "k 3"]:

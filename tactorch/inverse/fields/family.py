@@ -16,13 +16,7 @@ from jaxtyping import Float, Int
 from scipy.special import expit
 
 from tactorch.config import Registry
-from tactorch.inverse.fields.inclusion import (
-    CENTER,
-    COMMON,
-    Candidate,
-    InclusionShape,
-    Parameters,
-)
+from tactorch.inverse.fields.inclusion import CENTER, COMMON, Candidate, InclusionShape, Parameters
 from tactorch.inverse.fields.prior import ShapePrior
 from tactorch.inverse.fields.sites import Sites
 

@@ -20,11 +20,7 @@ from tactorch.fem import Supports
 from tactorch.fem.body import check_youngs
 from tactorch.fem.contact import Ball
 from tactorch.fem.indentation import BallForces, BallPlace, Indentation, IndentedBody
-from tactorch.inverse.data.observations import (
-    CorrelatedNoise,
-    DataModel,
-    group_by_contact,
-)
+from tactorch.inverse.data.observations import CorrelatedNoise, DataModel, group_by_contact
 from tactorch.inverse.forward.problem import (
     Changes,
     Columns,
@@ -128,9 +124,6 @@ class PalpationEvaluation(Evaluation):
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Moduli:
         rows = (self._scaled_chain.T @ self._of_data(weights)).astype(np.float32)
         return (self._body.rates.T @ rows).astype(np.float64).reshape(self.youngs.shape)
-
-    def second_order_times(self, change: Moduli) -> Moduli:
-        raise ConfigError("The exact Hessian is not known for presses by a probe.")
 
 
 class PalpationProblem(InverseProblem):

@@ -1,6 +1,7 @@
 """The forward problem of all presses: equilibria, predictions and their derivatives (eq. 7)."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
@@ -42,8 +43,7 @@ _AT_ONCE = 12  # presses whose equilibria are searched together
 # Error of derivatives in the change of the data by steps, over the sum of squares of the changes by
 # each parameter, up to which those after the steps are derived from those before.
 _MAX_MISS = 0.04
-# Largest mean squared residual for this: errors of derivatives change the gradient in proportion to
-# the residuals.
+# Largest mean squared residual for this, in proportion to which errors change the gradient.
 _MAX_CHI2 = 3.0
 _MAX_RELATIVE_CHANGE = 0.5  # of a modulus, for which du/de predicts u
 
@@ -342,20 +342,28 @@ class Evaluation:
 
         return map_cases(work, len(self.sensitivities))
 
-    def at_rest_shape(
-        self, number: int, points: Float[np.ndarray, "n 3"]
-    ) -> Float[np.ndarray, " data"]:
-        """Return the predicted data of a press (mm or N) for another rest shape (mm).
+    def at_rest_shapes(
+        self, points: Mapping[int, Float[np.ndarray, "n 3"]]
+    ) -> dict[int, Float[np.ndarray, " data"]]:
+        """Return the predicted data of presses (mm or N) for other rest shapes (mm), by number.
 
-        Raises:
-            ConfigError: an element is inverted.
-            ConvergenceError: the press has no equilibrium.
+        Presses without an equilibrium, or whose elements are inverted, are left out.
         """
-        press = self._presses[number]
-        newton = press.newton.with_rest_shape(points)
-        equilibrium = newton.run(press.equilibrium.displacement).require()
-        moved = replace(press, newton=newton, equilibrium=equilibrium)
-        return moved.predicted(self.data.observations[number])
+        searches: dict[int, Newton] = {}
+        for i, shape in points.items():
+            with suppress(ConfigError):
+                searches[i] = self.search(i).with_rest_shape(shape)
+        starts = {i: self._presses[i].equilibrium.displacement for i in searches}
+        starts |= _near_equilibrium(searches, starts)
+
+        def work(i: int) -> np.ndarray | None:
+            equilibrium = searches[i].run(starts[i])
+            moved = replace(self._presses[i], newton=searches[i], equilibrium=equilibrium)
+            return moved.predicted(self.data.observations[i]) if equilibrium.converged else None
+
+        numbers = list(searches)
+        found = map_cases(lambda k: work(numbers[k]), len(numbers))
+        return {i: data for i, data in zip(numbers, found, strict=True) if data is not None}
 
     def load_response(self, number: int, changes: Sequence[Float[np.ndarray, "n 3"]]) -> Columns:
         """Return the changes of the data of a press by changes of its nodal forces, N.
@@ -404,12 +412,12 @@ class Evaluation:
         Raises:
             ConfigError: a press is by a probe, or has a measured force.
         """
-        for solution, observation in zip(self._presses, self.data.observations, strict=True):
-            if solution.newton.contact is not None or observation.force is not None:
-                raise ConfigError(
-                    "The exact Hessian is not known for presses by a probe, or with measured "
-                    "forces; choose an optimizer or a Hessian by Gauss-Newton."
-                )
+        probed = any(press.newton.contact is not None for press in self._presses)
+        if probed or any(observation.force is not None for observation in self.data.observations):
+            raise ConfigError(
+                "The exact Hessian is not known for presses by a probe, or with measured forces; "
+                "choose an optimizer or a Hessian by Gauss-Newton."
+            )
         pairs = zip(self.sensitivities, self._adjoints, strict=True)
         return np.sum([s.linearization.second_order(a, change) for s, a in pairs], axis=0)
 
@@ -614,7 +622,7 @@ class InverseProblem:
         if starts is not None and self._leases is not None:
             made |= {i: make(i) for i in range(len(contacts)) if contacts[i] is None}
             searches = {i: newton for i, (_, newton) in made.items()}
-            near_equilibrium = self._approach(searches, starts)
+            near_equilibrium = _near_equilibrium(searches, dict(enumerate(starts)))
         self.evaluations += 1
         count = len(self.data.observations)
         parts = min(worker_count(), count) if chained else count
@@ -630,24 +638,26 @@ class InverseProblem:
         solutions = [found[i] for i in range(count)]
         return Evaluation(youngs, values, weight, solutions, self.data, self.derivative_rtol)
 
-    def _approach(
-        self, searches: Mapping[int, Newton], starts: Sequence[NodalField]
-    ) -> dict[int, NodalField]:
-        """Return displacements near equilibrium of presses that share factorisations, by number."""
-        leases = self._leases
-        assert leases is not None
-        chunks: list[list[int]] = []
-        for lease in dict.fromkeys(leases):
-            numbers = [i for i in searches if leases[i] is lease]
-            parts = max(worker_count(), len(numbers) // _AT_ONCE)
-            chunks += [numbers[k::parts] for k in range(parts) if numbers[k::parts]]
 
-        def work(k: int) -> list[tuple[int, NodalField]]:
-            chunk = chunks[k]
-            pairs = [searches[i] for i in chunk], [starts[i] for i in chunk]
-            return list(zip(chunk, approach(*pairs, leases[chunk[0]]), strict=True))
+def _near_equilibrium(
+    searches: Mapping[int, Newton], starts: Mapping[int, NodalField]
+) -> dict[int, NodalField]:
+    """Return displacements near equilibrium of presses that share factorisations, by number."""
+    sharing: dict[SharedLease, list[int]] = {}
+    for i, newton in searches.items():
+        if newton.contact is None and isinstance(newton.lease, SharedLease):
+            sharing.setdefault(newton.lease, []).append(i)
+    chunks: list[tuple[SharedLease, list[int]]] = []
+    for lease, numbers in sharing.items():
+        parts = max(worker_count(), len(numbers) // _AT_ONCE)
+        chunks += [(lease, numbers[k::parts]) for k in range(parts) if numbers[k::parts]]
 
-        return dict(pair for part in map_cases(work, len(chunks)) for pair in part)
+    def work(k: int) -> list[tuple[int, NodalField]]:
+        lease, chunk = chunks[k]
+        pairs = [searches[i] for i in chunk], [starts[i] for i in chunk]
+        return list(zip(chunk, approach(*pairs, lease), strict=True))
+
+    return dict(pair for part in map_cases(work, len(chunks)) for pair in part)
 
 
 def make_body(

@@ -54,7 +54,7 @@ class LowRankPosterior(GaussianPosterior):
     parameterization: Parameterization
 
     @staticmethod
-    def at(point: Point, weight: float, rank: int = 100) -> "LowRankPosterior":
+    def at(point: Point, weight: float, rank: int = 100, *, seed: int = 0) -> "LowRankPosterior":
         """Return the posterior at a point of the objective, by Jacobian-vector products.
 
         Costs about 3 `rank` products with J and its transpose, each one solve per press.
@@ -63,6 +63,7 @@ class LowRankPosterior(GaussianPosterior):
             point: The solution.
             weight: Weight of the prior.
             rank: Number of directions; sufficient if `excess` is small against the variance.
+            seed: Seed of the first Lanczos vector.
 
         Raises:
             ConfigError: the weight is negative, or the prior leaves more than the mean
@@ -78,6 +79,7 @@ class LowRankPosterior(GaussianPosterior):
             sp.csr_matrix(point.prior_curvature(weight) + sp.diags(mean_prior)),
             point.objective.elements.parameterization,
             rank,
+            seed=seed,
         )
 
     @staticmethod
@@ -87,6 +89,8 @@ class LowRankPosterior(GaussianPosterior):
         precision: sp.csr_matrix,
         parameterization: Parameterization,
         rank: int,
+        *,
+        seed: int = 0,
     ) -> "LowRankPosterior":
         """Return the posterior of a linear model; see `at`.
 
@@ -105,7 +109,7 @@ class LowRankPosterior(GaussianPosterior):
             spla.LinearOperator((size, size), matvec=product, dtype=np.float64)
             for product in (data_hessian, factor.solve)
         )
-        start = np.random.default_rng(0).standard_normal(size)
+        start = np.random.default_rng(seed).standard_normal(size)
         values, vectors = spla.eigsh(hessian, rank, M=precision, Minv=inverse, v0=start)
         # Zero eigenvalues may be negative by round-off.
         values, vectors = np.maximum(values[::-1], 0.0), np.ascontiguousarray(vectors[:, ::-1])

@@ -46,11 +46,10 @@ class ShapePosterior:
     flat in the logarithm of the contrast would give more weight to large contrasts, on which the
     data hardly depend.
 
-    The posterior is normal in `coordinates`: the squared radius and the strength of each inclusion,
-    limited to positive radii and contrasts, and the other parameters in mm and logarithms. Where
-    hardly any samples are within these limits, all parameters are in mm and logarithms. Where
-    radius and contrast of an inclusion are uncertain, the samples are those about its ridge, with
-    Jeffreys' prior; see `tactorch.inverse.posterior.ridges`.
+    The coordinates are the squared radius and the strength of each inclusion, limited to positive
+    radii and contrasts, and the other parameters in mm and logarithms. Where hardly any samples are
+    within these limits, all parameters are. Where radius and contrast of an inclusion are
+    uncertain, samples are about its ridge; see `tactorch.inverse.posterior.ridges`.
 
     Attributes:
         field: The family of the shapes, with the prior of its parameters.

@@ -1,14 +1,11 @@
 """Discretisation error of the presses at a model, from meshes that are finer where it needs that.
 
-A mesh that is fine at rims of contacts, boundaries of inclusions and ends of supports would make
-each fit slow. Instead the differences of the predictions of finer meshes at one model are added to
-those of the common mesh, as they change little with the model (deferred correction: V. Pereyra, "On
-improving an approximate solution of a functional equation by deferred corrections", Numer. Math. 8
-(1966), 376-391).
-
-The error at the rim of a contact and that at the inclusions are computed separately, and added: the
-first depends on the model by the moduli at the contact only, and is kept while those remain. The
-second is that of one mesh for all contacts, whose faces follow the inclusions.
+The predictions of the common mesh are corrected by their differences from those of finer meshes at
+one model, which change little with the model (deferred correction: V. Pereyra, "On improving an
+approximate solution of a functional equation by deferred corrections", Numer. Math. 8 (1966),
+376-391). Errors at the rim of a contact, where strains change within a fraction of its radius,
+depend on the moduli there only, and are kept while those remain. Those at inclusions, at whose
+boundary strains have a kink, are those of one mesh for all contacts, whose faces follow them.
 """
 
 from collections.abc import Callable, Mapping, Sequence

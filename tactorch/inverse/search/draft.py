@@ -64,16 +64,13 @@ class _Presses(SearchProblem):
         self._moved, self._pose_mm = moved, pose_mm
 
     def first(self, start: Start) -> Model:
-        """Fit the first model from the displacements of the last search."""
-        return self.fit(start, self._moved)
+        return self.fit(start, self._moved)  # from the displacements of the last search
 
     def data(self, errors: Levels) -> DataModel:
-        """Return the data with their errors."""
         return self.full.data
 
     def final(self, model: Model) -> Model:
-        """Return the model, which is exact enough."""
-        return model
+        return model  # exact enough
 
     def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
         """Return the posterior, with the error of the positions of presses."""

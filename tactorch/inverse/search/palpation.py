@@ -122,16 +122,13 @@ class PalpationSearch(SearchProblem):
         return self.challenge(less(model, removed), model, _CERTAIN).fit
 
     def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
-        """Return the posterior of a model."""
         return model, make_posterior(model, self.sites)
 
     @cached_property
     def groups(self) -> Int[np.ndarray, " data"]:
-        """Place of each datum."""
         return self.full.places[self.full.press_of]
 
     def error_levels(self, model: Model) -> Iterator[Levels]:
-        """Yield the errors of the model, and others."""
         yield model.errors
         yield from (errors for _, errors in self.errors.others(model.errors))
 

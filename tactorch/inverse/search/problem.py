@@ -105,7 +105,6 @@ class ShapeProblem(SearchProblem):
         self._floored = noise.floored(recording)
 
     def first(self, start: Start) -> Model:
-        """Fit the first model of a search with quadratic elements, as `SearchProblem.first`."""
         model = self.fit(start, self._linearise(start))
         contacts = () if self._correction is None else self._correction.contacts
         ends_within_faces = any(rim is not None for _, rim in contacts)

@@ -95,7 +95,8 @@ def find_shapes(
                 few = at_some_places(recording, _QUICK_PLACES) or recording
                 _log_provisional(PalpationSearch(few, *options, "tet4"))
                 if part := at_some_places(recording, _FIRST_PLACES):
-                    path = _accept_models(PalpationSearch(part, *options), limit, None, update)
+                    # The model is not kept: its predictions hold the arrays of these places.
+                    path = _accept_models(PalpationSearch(part, *options), limit, None, update)[1]
             update("elements at all places")
             problem: SearchProblem = PalpationSearch(recording, *options)
         else:
@@ -111,22 +112,22 @@ def find_shapes(
 class _Path:
     """The last model that a search has accepted, records of all, and what was not tried."""
 
-    model: Model
+    state: Start
     history: list[dict[str, Any]]
     untried: list[Proposal] = field(default_factory=list)
     ended: StopReason | None = None  # what ended it early
 
-    @property
-    def state(self) -> Start:
-        fit = self.model.fit
-        return Start("last model", fit.field, fit.z, self.model.errors)
+    def accept(self, what: str, model: Model) -> None:
+        """Add a model."""
+        self.state = _state(model)
+        self.history.append(record(what, model.fit))
 
     def had(self, proposal: Proposal) -> bool:
         """Return whether a proposal adds an inclusion that was accepted before, and removed.
 
         Errors that are linearised about each model would add and remove it in turn.
         """
-        adds = len(proposal.field.families) > len(self.model.fit.field.families)
+        adds = len(proposal.field.families) > len(self.state.field.families)
         return adds and proposal.what in [entry["model"] for entry in self.history]
 
     @contextmanager
@@ -137,6 +138,10 @@ class _Path:
         except CancelledError as error:
             error.reached = self.state
             raise
+
+
+def _state(model: Model) -> Start:
+    return Start("last model", model.fit.field, model.fit.z, model.errors)
 
 
 def search(
@@ -151,10 +156,10 @@ def search(
     `update` is called with what is done next. The search starts from the model of the one `before`,
     on a part of the presses, or from `start`, see `find_shapes`.
     """
-    path = _accept_models(problem, limit, start, update, before)
+    model, path = _accept_models(problem, limit, start, update, before)
     with path.kept():
         update("final fit")
-        path.model = model = _final(problem, path.model)
+        model = _final(problem, model)
         update("posterior")
         best, posterior = problem.posterior(model)
         if best is not model:
@@ -170,32 +175,32 @@ def _accept_models(
     start: ShapeReconstruction | Start | None,
     update: Callable[[str], None],
     before: _Path | None = None,
-) -> _Path:
+) -> tuple[Model, _Path]:
     """Accept models of more evidence until there is none; see `search`."""
     update("first model")
     with nullcontext() if before is None else before.kept():
-        path = _first(problem, start if before is None else before.state)
+        model, path = _first(problem, start if before is None else before.state)
     if before is not None:
         path.history[:0] = before.history
         if before.ended:
             path.untried, path.ended = before.untried, before.ended
-            return path
+            return model, path
 
     def step(number: int) -> bool:
+        nonlocal model
         update(f"model {number}, predictions of proposals")
-        proposals = [p for p in propose(problem, path.model) if not path.had(p)]
+        proposals = [p for p in propose(problem, model) if not path.had(p)]
         path.untried[:] = proposals[: problem.max_fits]
         update(f"model {number}")
-        if (accepted := _accept(problem, path.model, path.untried)) is None:
+        if (accepted := _accept(problem, model, path.untried)) is None:
             return False
-        proposal, model = accepted
-        path.model = problem.precise(model)
-        path.history.append(record(proposal.what, path.model.fit))
+        model = problem.precise(accepted[1])
+        path.accept(accepted[0].what, model)
         return True
 
     with path.kept():
         path.ended = improve(step, _MAX_MODELS, limit)
-    return path
+    return model, path
 
 
 def _log_provisional(problem: SearchProblem) -> None:
@@ -232,7 +237,9 @@ def _result(
     )  # fmt: skip
 
 
-def _first(problem: SearchProblem, before: ShapeReconstruction | Start | None) -> _Path:
+def _first(
+    problem: SearchProblem, before: ShapeReconstruction | Start | None
+) -> tuple[Model, _Path]:
     """Fit the model of an earlier result, or where there is none a uniform body."""
     what, model = "uniform", None
     # A background that varies, found of few presses, would hide the inclusion that more show.
@@ -244,7 +251,7 @@ def _first(problem: SearchProblem, before: ShapeReconstruction | Start | None) -
             _log.info("%s fails, and the search starts from a uniform body: %s", start.what, error)
     model = model or problem.uniform()
     _log.info("%s: chi2 %.4g", what, model.fit.chi2)
-    return _Path(model, [record(what, model.fit)])
+    return model, _Path(_state(model), [record(what, model.fit)])
 
 
 def _accept(
