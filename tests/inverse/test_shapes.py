@@ -345,9 +345,9 @@ def test_a_search_starts_from_a_uniform_body_rather_than_from_a_background_alone
     problem = ShapeProblem(uniform_recording, Settings())
     field = ShapeField(problem.prior, background=Background(degree=2))
     state = Start("before", field, np.full(field.size, 0.5), {"pose": 0.001})
-    path = _first(problem, state)
+    model, path = _first(problem, state)
     assert path.history[0]["model"] == "uniform"
-    assert path.model.fit.field.background.degree == 0
+    assert model.fit.field.background.degree == 0
 
 
 def test_a_search_can_be_stopped(recording):
