@@ -17,6 +17,7 @@ from tactorch.inverse.data.misfit import MISFITS, Adaptive, Squares
 from tactorch.inverse.data.observations import NoiseModel
 from tactorch.inverse.errors import ERRORS, ErrorModel, MeasuredPresses
 from tactorch.inverse.errors.discretisation import (
+    RESIDUAL_MODEL_ERROR,
     ModelError,
     corrected,
     discretisation_error,
@@ -255,9 +256,7 @@ def invert_map(
             identity={
                 "mesh": recording.mesh.content_hash()[:12],
                 "parameterization": str(objective.elements.parameterization),
-                "model error": resolve_model_error(
-                    settings.model_error, recording, settings.element
-                ),
+                "model error": _describe_model_error(recording, settings),
                 "nuisance": str(settings.nuisance),
                 "misfit": MISFITS.name_of(type(settings.misfit)),
             },
@@ -424,6 +423,13 @@ def compute_posterior(
     """
     point = solution(recording, reconstruction, settings or Settings())
     return posterior_at(point, reconstruction.weight)
+
+
+def _describe_model_error(recording: Recording, settings: Settings) -> str:
+    """Correction for the model's error, as text that distinguishes runs."""
+    name = resolve_model_error(settings.model_error, recording, settings.element)
+    default = name == "none" or settings.residual_model_error_fraction == RESIDUAL_MODEL_ERROR
+    return name if default else f"{name}, {settings.residual_model_error_fraction:g} left"
 
 
 def _task_digest(recording: Recording, settings: Settings) -> str:
