@@ -507,3 +507,21 @@ def test_equilibria_start_where_they_are_told(recording: Recording, moduli: np.n
     again = problem.evaluate(moduli, starts=first.displacements)
     np.testing.assert_allclose(again.residuals, first.residuals, atol=1e-7)
     assert again.search(0) is not first.search(0)
+
+
+@pytest.mark.parametrize("derivative_rtol", [0.0, 1e-3])  # one lease each, and a shared one
+def test_presses_at_other_rest_shapes_are_those_of_another_mesh(
+    recording: Recording, moduli: np.ndarray, derivative_rtol: float
+) -> None:
+    """Presses whose elements are inverted are left out."""
+    mesh = recording.mesh
+    evaluation = InverseProblem(recording, derivative_rtol=derivative_rtol).evaluate(moduli)
+    wider = mesh.points * np.array([1.02, 1.0, 1.0])
+    inverted = mesh.points * np.array([-1.0, 1.0, 1.0])
+    found = evaluation.at_rest_shapes({0: wider, 1: inverted})
+    assert found.keys() == {0}
+    other = replace(recording, mesh=replace(mesh, points=wider), check_units=False)
+    expected = InverseProblem(other).evaluate(moduli).predicted[0]
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(found[0], expected, atol=1e-7 * scale)
+    assert np.abs(found[0] - evaluation.predicted[0]).max() > 1e-3 * scale
