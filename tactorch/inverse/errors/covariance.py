@@ -17,7 +17,7 @@ class ErrorModel:
 
     Attributes:
         presses: The presses.
-        errors: Errors that occur, of those that may.
+        errors: Those of the given errors that can occur in these presses.
         least: Their deviations in the simplest model.
     """
 

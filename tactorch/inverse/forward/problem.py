@@ -43,7 +43,8 @@ _AT_ONCE = 12  # presses whose equilibria are searched together
 # Error of derivatives in the change of the data by steps, over the sum of squares of the changes by
 # each parameter, up to which those after the steps are derived from those before.
 _MAX_MISS = 0.04
-# Largest mean squared residual for this, in proportion to which errors change the gradient.
+# Largest mean squared residual for this: errors of derivatives change the gradient in proportion to
+# the residuals.
 _MAX_CHI2 = 3.0
 _MAX_RELATIVE_CHANGE = 0.5  # of a modulus, for which du/de predicts u
 

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from threading import Lock
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -36,8 +36,12 @@ _QUICK_STARTS = 2  # fits of an inclusion for a provisional answer
 # models are accepted; and within a fifth of a standard deviation, for the last fit.
 ROUGH, FINE = 0.5, 0.02
 
-#: A source of models that may be better than the present one, to be fitted with the reduced model.
-Proposals: TypeAlias = Callable[["SearchProblem", Model], Iterable[Start]]
+
+class Proposals(Protocol):
+    """A source of models that may be better than the present one."""
+
+    def __call__(self, problem: "SearchProblem", model: Model) -> Iterable[Start]:
+        """Yield models to be fitted with the reduced model of a problem."""
 
 
 class SearchProblem(ABC):

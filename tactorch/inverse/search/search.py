@@ -160,6 +160,7 @@ def search(
     with path.kept():
         update("final fit")
         model = _final(problem, model)
+        path.state = _state(model)
         update("posterior")
         best, posterior = problem.posterior(model)
         if best is not model:
