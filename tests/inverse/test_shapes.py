@@ -417,6 +417,21 @@ def test_a_stopped_search_goes_on_from_what_it_reached(recording):
     assert (np.abs(result.z - expected.z) < deviation).all()
 
 
+def test_a_search_that_is_stopped_in_its_posterior_has_reached_its_final_fit(
+    recording, monkeypatch
+):
+    final = []
+
+    def stopped(_problem, model):
+        final.append(model)
+        raise CancelledError("stopped")
+
+    monkeypatch.setattr(ShapeProblem, "posterior", stopped)
+    with pytest.raises(CancelledError) as error:
+        find_shapes(recording, max_shapes=1)
+    np.testing.assert_array_equal(error.value.reached.z, final[0].fit.z)
+
+
 @pytest.mark.slow
 def test_presses_without_noise_have_no_spurious_parts():
     """The error of the discretisation is not explained by further inclusions."""
