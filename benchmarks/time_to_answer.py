@@ -1,13 +1,14 @@
 """Time from a recording to the result of the search for inclusions, posterior included.
 
-    python benchmarks/time_to_answer.py [--before CHECKOUT] [--only NAME ...] [--cache FOLDER]
-        [--out FOLDER]
+    python benchmarks/time_to_answer.py [--before CHECKOUT] [--limit SECONDS] [--only NAME ...]
+        [--cache FOLDER] [--out FOLDER]
 
 The recordings are those of `true_objects.py` (solved on other, finer meshes): whole sides, nine
 patches, a dome under fingers, and patches that are misplaced by 0.3 mm; a robot's palpation of two
 nodules (589 probes, where the data of the folder TACTORCH_SHARED or ../shared exist), and a
 simulated one of 2,304 probes (`simulated_palpation.py`). Each is inverted in a separate process, by
 the package of this checkout, and with `--before` also by that of another one, one after the other.
+The latter ends after the time of `--limit`.
 `cpu` is the processor time of the process, `seconds` the elapsed time, both of `find_shapes` alone,
 `first` that to the provisional answer; `GiB` is the largest memory. Stages of the search are those
 that it logs, with the processor time at their end. `centre` is the distance of the first
@@ -21,7 +22,6 @@ import logging
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -46,10 +46,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run all cases; print the table and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--before", type=Path, help="checkout of another version")
+    parser.add_argument("--limit", type=float, help="longest time of the other version, s")
     parser.add_argument("--only", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--cache", type=Path, help="folder of the noise-free recordings")
     parser.add_argument("--out", type=Path, help="folder for time_to_answer.md and .json")
-    parser.add_argument("--invert", nargs=2, metavar=("CHECKOUT", "FILE"), help=argparse.SUPPRESS)
+    parser.add_argument("--invert", nargs=3, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.invert:
         print(json.dumps(invert(*options.invert)))
@@ -57,11 +58,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from machine import OtherWork, write_results
 
     meter, rows, lines = OtherWork(), [], [HEADER]
-    versions = {"now": ROOT} | ({"before": options.before.resolve()} if options.before else {})
+    versions: dict[str, tuple[Path, float | None]] = {"now": (ROOT, None)}
+    if options.before:
+        versions["before"] = options.before.resolve(), options.limit
     print(HEADER, flush=True)
     for name in options.only:
-        for version, checkout in versions.items():
-            row = {"case": name, "version": version, **run(name, checkout, options.cache)}
+        for version, (checkout, limit) in versions.items():
+            row = {"case": name, "version": version, **run(name, checkout, options.cache, limit)}
             rows.append(row)
             lines.append(describe(row))
             print(lines[-1], flush=True)
@@ -71,16 +74,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(json.dumps(result))
 
 
-def run(name: str, checkout: Path, cache: Path | None) -> dict[str, Any]:
-    """Invert the recording of a case by a checkout, in another process, and score the result."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "recording.h5"
-        recording, truth = make(name, cache)
-        recording.save(path)
-        command = [sys.executable, __file__, "--invert", str(checkout), str(path)]
-        done = subprocess.run(command, stdout=subprocess.PIPE, check=True, text=True)
+def run(name: str, checkout: Path, cache: Path | None, limit: float | None) -> dict[str, Any]:
+    """Invert the recording of a case by a checkout, in another process; None after the limit."""
+    command = [sys.executable, __file__, "--invert", str(checkout), name, str(cache or "")]
+    try:
+        done = subprocess.run(command, stdout=subprocess.PIPE, check=True, text=True, timeout=limit)
+    except subprocess.TimeoutExpired:
+        return {"limit": limit}
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return found | (score(*truth, found["inclusions"]) if truth else {})
+    return found
 
 
 def make(name: str, cache: Path | None) -> tuple[Any, tuple[Any, float, float] | None]:
@@ -128,6 +130,8 @@ def score(
 
 def describe(row: dict[str, Any]) -> str:
     """Return a row of the table."""
+    if "limit" in row:
+        return f"| {row['case']} | {row['version']} | | > {row['limit']:.0f} |{' |' * 8}"
     cells = [row["case"], row["version"], f"{row['cpu']:.0f}", f"{row['seconds']:.0f}"]
     first = [s for what, _, s in row["stages"] if what.startswith("provisional")]
     cells += [f"{first[0]:.0f}" if first else "", f"{row['gib']:.1f}", f"{row['chi2']:.4f}"]
@@ -140,23 +144,22 @@ def describe(row: dict[str, Any]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def invert(checkout: str, path: str) -> dict[str, Any]:
-    """Return figures of a search by the package of a checkout."""
+def invert(checkout: str, name: str, cache: str) -> dict[str, Any]:
+    """Return figures of a search by the package of a checkout, which makes the recording."""
     sys.path.insert(0, checkout)
     import tactorch
     from tactorch.inverse.search import find_shapes
-    from tactorch.recording import Recording
 
     assert tactorch.__file__ is not None
     assert Path(tactorch.__file__).is_relative_to(checkout), tactorch.__file__
     from machine import peak_gib
 
-    recording, stages = Recording.load(path), Stages()
+    (recording, truth), stages = make(name, Path(cache) if cache else None), Stages()
     logging.getLogger("tactorch").addHandler(stages)
     logging.getLogger("tactorch").setLevel(logging.INFO)
     began, cpu = time.perf_counter(), time.process_time()
     result = find_shapes(recording)
-    return {
+    figures: dict[str, Any] = {
         "cpu": time.process_time() - cpu,
         "seconds": time.perf_counter() - began,
         "gib": peak_gib(),
@@ -173,6 +176,7 @@ def invert(checkout: str, path: str) -> dict[str, Any]:
             for i in result.inclusions
         ],
     }  # fmt: skip
+    return figures | (score(*truth, figures["inclusions"]) if truth else {})
 
 
 class Stages(logging.Handler):

@@ -33,6 +33,7 @@ from tactorch.files import atomic_path, cache_folder
 from tactorch.mesh import (
     Box,
     Cone,
+    Cylinder,
     Ellipsoid,
     Hemisphere,
     Lathe,
@@ -40,6 +41,7 @@ from tactorch.mesh import (
     Shape,
     Sphere,
     TetMesh,
+    Union,
     face_nodes,
 )
 from tactorch.mesh.sharp_edges import distance_from_sharp_edges
@@ -403,6 +405,13 @@ def _layered() -> Body:
     return _cube(*layers, lump, lumps=(2,))
 
 
+def _spiculated() -> Shape:
+    """A ball with ten spicules, along five axes."""
+    center, turns = (5.0, 4.8, 6.0), ((0, 0, 20), (0, 0, 80), (0, 0, 140), (0, 50, 0), (0, -50, 0))
+    spicules = (Rotated(Ellipsoid(center, (3.2, 0.45, 0.45)), turn) for turn in turns)
+    return Union((Sphere(center, 1.5), *spicules))
+
+
 def _breast(*lesions: tuple[Shape, float]) -> Body:
     """Fat with a random field of moduli, a gland, and lesions: an anatomy of 60 mm."""
     gland = (Ellipsoid((0.0, 0.0, 9.5), (17.0, 15.0, 9.0)), 0.05)
@@ -454,6 +463,22 @@ OBJECTS: dict[str, Callable[[], Body]] = {
     "layers_ball": _layered,
     "skin_ball": lambda: _cube(
         (Sphere((4.2, 5.6, 5.5), 1.7), 1.0), youngs=Layers((2.8, 8.2), (0.4, 0.2, 0.12))
+    ),
+    "l_shape": lambda: _cube(
+        (Union((Box((5.0, 3.4, 6.0), (5.6, 1.8, 1.8)), Box((3.1, 5.2, 6.0), (1.8, 5.4, 1.8)))), 1.0)
+    ),
+    "torus": lambda: Body(make_phantom("cube_torus"), (0,)),
+    "two_tiers": lambda: Body(make_phantom("cube_two_tiers"), (0,)),
+    "rod": lambda: _cube((Cylinder((5.0, 5.0, 6.0), 1.1, 6.0, (1.0, 0.5, 0.2)), 1.0)),
+    "plate": lambda: _cube(
+        (Rotated(Box((5.0, 5.0, 6.0), (5.5, 5.5, 1.3)), (10.0, 15.0, 20.0)), 1.0)
+    ),
+    "two_moduli": lambda: _cube(
+        (Sphere((3.1, 4.6, 6.4), 1.5), 1.0), (Sphere((6.9, 5.5, 5.8), 1.6), 0.45)
+    ),
+    "spiculated": lambda: _cube((_spiculated(), 1.0)),
+    "stiff_skin": lambda: _cube(
+        (Sphere((5.8, 4.6, 5.8), 1.7), 1.0), youngs=Layers((8.8,), (0.2, 1.0))
     ),
     "dome": lambda: _dome((Ellipsoid((2.5, 1.0, 5.6), (2.4, 2.0, 1.7)), 0.5)),
     "breast": lambda: _breast((Sphere((7.0, 4.0, 12.0), 6.0), 0.25)),
@@ -513,6 +538,14 @@ CASES: tuple[Case, ...] = (
     Case("uniform", "patches", 40.0, held_out=True),
     Case("gradient", "sides", 40.0, held_out=True),
 )
+# Inclusions that are no balls or ellipsoids, and those under a skin.
+FORM_CASES: tuple[Case, ...] = tuple(
+    Case(name, "gentle" if name == "stiff_skin" else "sides4", snr_db)
+    for name in (
+        "l_shape", "torus", "two_tiers", "rod", "plate", "two_moduli", "spiculated", "stiff_skin",
+    )
+    for snr_db in (40.0, 30.0)
+)  # fmt: skip
 RANDOM_CASES: tuple[Case, ...] = tuple(
     Case(f"random{seed}", "sides", (40.0, 30.0)[seed // 2 % 2], seed=1000 + seed)
     for seed in range(N_RANDOM)

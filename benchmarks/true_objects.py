@@ -1,6 +1,6 @@
 """Maps against analytic objects whose presses were solved on other, finer meshes.
 
-    python benchmarks/true_objects.py [--set open|held_out|empty|random|all] [--only NAME...]
+    python benchmarks/true_objects.py [--set open|held_out|forms|empty|random|all] [--only NAME...]
         [--method default|map|shapes] [--settings KEY=VALUE...] [--check] [--cache FOLDER]
         [--refined FACTOR] [--seeds N] [--out FOLDER] [--resume FOLDER] [--workers N]
 
@@ -12,11 +12,12 @@ recording that a method inverts has neither truth nor provenance, and its mesh i
 outline alone. Settings are the same for all cases.
 
 The map is compared with the analytic object on 36^3 voxels of the bounding box, those outside the
-body excluded. Half of the cases are held out, to be run once with `--set held_out`; `--set empty`
-has forty bodies without inclusion, and `--set random` 150 balls and ellipsoids, for the
-coverage of intervals. `--seeds` repeats each case with other noise. `--check` refines each truth
-mesh once more and compares the change of the displacements with the noise. `--refined` bisects the
-recording's mesh before a method gets it, down to its mean edge length times the factor. Noise-free
+body excluded. Half of the cases are held out, to be run once with `--set held_out`; `--set forms`
+has inclusions that are no balls or ellipsoids, `--set empty` forty bodies without inclusion, and
+`--set random` 150 balls and ellipsoids, for the coverage of intervals. `--seeds` repeats each case
+with other noise. `--check` refines each truth mesh once more and compares the change of the
+displacements with the noise. `--refined` bisects the recording's mesh before a method gets it, down
+to its mean edge length times the factor. Noise-free
 recordings are cached. `--resume` keeps the scores of each case in a folder, and runs only cases
 that are not there: use a new folder for each version of the code.
 
@@ -40,7 +41,7 @@ from machine import OtherWork, map_in_processes, write_results
 from scipy.ndimage import label
 from scipy.spatial import cKDTree
 from scipy.special import ndtri
-from true_cases import CASES, EMPTY_CASES, RANDOM_CASES, Case, Truth, make_recording
+from true_cases import CASES, EMPTY_CASES, FORM_CASES, RANDOM_CASES, Case, Truth, make_recording
 
 from tactorch.errors import TactorchError
 from tactorch.files import write_json
@@ -199,7 +200,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the cases, and print the table and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument(
-        "--set", choices=("open", "held_out", "empty", "random", "all"), default="open"
+        "--set", choices=("open", "held_out", "forms", "empty", "random", "all"), default="open"
     )
     parser.add_argument("--only", nargs="+", metavar="NAME", help="cases of any set by name")
     parser.add_argument("--method", choices=list(METHODS), default="default")
@@ -262,15 +263,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def choose_cases(chosen_set: str, only: Sequence[str] | None) -> list[Case]:
     """Return the cases of a set, or those named."""
-    every = [*CASES, *EMPTY_CASES, *RANDOM_CASES]
+    every = [*CASES, *FORM_CASES, *EMPTY_CASES, *RANDOM_CASES]
     if only:
         known = {case.name: case for case in every}
         unknown = [name for name in only if name not in known]
         if unknown:
             raise SystemExit(f"unknown case {unknown[0]}; choose from {', '.join(known)}.")
         return [known[name] for name in only]
-    if chosen_set in ("empty", "random"):
-        return list(EMPTY_CASES if chosen_set == "empty" else RANDOM_CASES)
+    others = {"forms": FORM_CASES, "empty": EMPTY_CASES, "random": RANDOM_CASES}
+    if chosen_set in others:
+        return list(others[chosen_set])
     return [
         case for case in CASES if chosen_set == "all" or case.held_out == (chosen_set == "held_out")
     ]
