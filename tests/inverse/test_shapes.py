@@ -32,6 +32,7 @@ from tactorch.inverse.result.build import of_inclusions
 from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.inverse.search import correction as correction_module
 from tactorch.inverse.search import find_shapes
+from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.correction import Correction, _LoadSeries
 from tactorch.inverse.search.model import (
     Model,
@@ -42,6 +43,7 @@ from tactorch.inverse.search.model import (
     with_family,
 )
 from tactorch.inverse.search.problem import ShapeProblem
+from tactorch.inverse.search.proposals import changed, joined
 from tactorch.inverse.search.search import _first
 from tactorch.inverse.search.sizing import (
     Rim,
@@ -214,6 +216,33 @@ def test_models_are_changed_without_a_change_of_what_remains():
     assert list(fewer.shapes(rest)) == [second]
     outside = ~first.contains(sites.centers)
     np.testing.assert_allclose(fewer.log_youngs(rest, sites)[outside], before[outside])
+
+
+def test_inclusions_are_tried_as_other_forms_and_as_one():
+    """Neighbours that are both stiffer are joined; a ball becomes an ellipsoid before others."""
+    families = (BALL, ELLIPSOID, BALL, BALL)
+    field = ShapeField(PRIOR, families)
+    ball = [np.log(1.5), np.log(4.0)]
+    values = [np.log(0.2), 3.0, 3.0, 5.0, *ball, 6.0, 3.0, 5.0, *ball, 0.2, 0.1, 0.0, 0.0, 0.0]
+    values += [4.5, 4.0, 5.0, np.log(1.5), -1.0, 4.0, 9.0, 9.0, np.log(0.4), 1.0]
+    model = Mock(spec=Model, errors={})
+    model.fit = SimpleNamespace(field=field, z=field.standard(np.array(values)))
+    problem = Mock(spec=SearchProblem, forms=("ellipsoid", "ring"))
+    starts = {start.what: start for start in [*changed(problem, model), *joined(problem, model)]}
+    assert set(starts) == {
+        *(f"inclusion {k} as an ellipsoid" for k in (0, 2, 3)), "inclusion 1 as a ring",
+        "inclusion 0 and 1 as an ellipsoid", "inclusion 0 and 1 as a ring",
+    }  # fmt: skip
+    start = starts["inclusion 0 and 1 as an ellipsoid"]
+    assert start.field.families == (BALL, BALL, ELLIPSOID)
+    *others, one = start.field.shapes(start.z)
+    first, second, *kept = field.shapes(model.fit.z)
+    assert others == kept
+    assert one.radius_mm**3 == pytest.approx(first.radius_mm**3 + second.radius_mm**3)
+    assert one.center_mm == pytest.approx((4.5, 3.0, 5.0), abs=0.1)
+    assert one.contrast == pytest.approx(4.0)
+    assert one.semi_axes_mm[0] > 2.5
+    assert abs(one.axes[0][0]) == pytest.approx(1.0, abs=0.01)
 
 
 def test_other_errors_differ_in_one_respect(problem):

@@ -5,7 +5,7 @@ from tactorch.inverse.fields.ball import BALL
 from tactorch.inverse.fields.base import ElementField, FieldPoint, ModulusField, Vector
 from tactorch.inverse.fields.ellipsoid import ELLIPSOID
 from tactorch.inverse.fields.family import FAMILIES, Family
-from tactorch.inverse.fields.inclusion import CENTER, SIZE, Candidate, InclusionShape
+from tactorch.inverse.fields.inclusion import CENTER, SIZE, Candidate, Cloud, InclusionShape
 from tactorch.inverse.fields.prior import ShapePrior
 from tactorch.inverse.fields.shapes import ShapeField
 from tactorch.inverse.fields.sites import Sites
@@ -18,6 +18,7 @@ __all__ = [
     "SIZE",
     "Background",
     "Candidate",
+    "Cloud",
     "ElementField",
     "Family",
     "FieldPoint",

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tactorch.inverse.fields.family import Distances, Family, Samples, Slopes, Values, length
-from tactorch.inverse.fields.inclusion import Candidate, Parameters
+from tactorch.inverse.fields.inclusion import Candidate, Cloud, Parameters
 
 
 class BallFamily(Family):
@@ -17,6 +17,9 @@ class BallFamily(Family):
         return np.array([
             *candidate.center_mm, np.log(candidate.radius_mm), candidate.log_contrast,
         ])  # fmt: skip
+
+    def like(self, cloud: Cloud) -> Values:
+        return np.array([*cloud.center, cloud.log_radius, cloud.log_contrast])
 
     def distance(self, own: Parameters, points: Samples) -> Distances:
         return length(points - own.center) - np.exp(own.log_radius)

@@ -13,7 +13,7 @@ from tactorch.inverse.fields.family import (
     Values,
     length,
 )
-from tactorch.inverse.fields.inclusion import Candidate, Parameters
+from tactorch.inverse.fields.inclusion import Candidate, Cloud, Parameters
 
 
 class EllipsoidFamily(Family):
@@ -45,6 +45,12 @@ class EllipsoidFamily(Family):
         stretch = np.log(radius) * np.eye(3)
         stretch += np.log(1.0 + length_mm / radius) * np.outer(along, along)
         return self.values(center, stretch, log_contrast)
+
+    def like(self, cloud: Cloud) -> Values:
+        deviations, axes = cloud.principal()
+        logs = np.log(deviations / np.cbrt(deviations.prod()))
+        stretch = cloud.log_radius * np.eye(3) + axes.T @ np.diag(logs) @ axes
+        return self.values(cloud.center, stretch, cloud.log_contrast)
 
     def distance(self, own: Parameters, points: Samples) -> Distances:
         inverse = expm(-self.log_stretch(own))

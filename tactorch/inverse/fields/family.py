@@ -16,7 +16,14 @@ from jaxtyping import Float, Int
 from scipy.special import expit
 
 from tactorch.config import Registry
-from tactorch.inverse.fields.inclusion import CENTER, COMMON, Candidate, InclusionShape, Parameters
+from tactorch.inverse.fields.inclusion import (
+    CENTER,
+    COMMON,
+    Candidate,
+    Cloud,
+    InclusionShape,
+    Parameters,
+)
 from tactorch.inverse.fields.prior import ShapePrior
 from tactorch.inverse.fields.sites import Sites
 
@@ -27,6 +34,9 @@ FAMILIES = Registry(
         "ball": "tactorch.inverse.fields.ball:BALL",
         "ellipsoid": "tactorch.inverse.fields.ellipsoid:ELLIPSOID",
         "cuboid": "tactorch.inverse.fields.cuboid:CUBOID",
+        "rod": "tactorch.inverse.fields.tube:ROD",
+        "bent rod": "tactorch.inverse.fields.tube:BENT_ROD",
+        "ring": "tactorch.inverse.fields.tube:RING",
     },
 )
 
@@ -40,7 +50,7 @@ DISTORTIONS = {
     "yz": (np.outer(_Y, _Z) + np.outer(_Z, _Y)) / np.sqrt(2.0),
 }
 _RADIUS = 0.15  # mean radius of the prior, over the body's size
-_VARIANCE = np.pi**2 / 12.0  # of the logistic distribution whose density is a boundary of width one
+VARIANCE = np.pi**2 / 12.0  # of the logistic distribution whose density is a boundary of width one
 _TINY = 1e-12  # mm2, for the derivative of a length at zero
 
 Values = Float[np.ndarray, " parameters"]
@@ -56,10 +66,10 @@ class Family(ABC):
     Attributes:
         name: Its name in `FAMILIES`.
         noun: The name with its article.
-        distortions: Names of the distortions, of `DISTORTIONS`.
+        distortions: Names of the parameters beside those that all inclusions have; the first are
+            of `DISTORTIONS`.
         shape_type: The body that is stretched.
         reach: Radius of the ball around the body of semi-axes of one.
-        curvature: Mean curvature of its boundary, over that of a ball; zero where it is flat.
         special: Names of families that a search tries as this one, from the same values of the
             parameters that both have.
         judged_as: Name of the family by which the posterior is computed: the data that make a ball
@@ -71,7 +81,6 @@ class Family(ABC):
     distortions: tuple[str, ...] = ()
     shape_type: type[InclusionShape] = InclusionShape
     reach: float = 1.0
-    curvature: float = 1.0
     special: tuple[str, ...] = ()
     judged_as: str
 
@@ -91,6 +100,10 @@ class Family(ABC):
         """Return the parameters of a ball or a rod; None where the family is not for it."""
         return None
 
+    @abstractmethod
+    def like(self, cloud: Cloud) -> Values:
+        """Return the parameters of the inclusion that resembles a cloud of points most."""
+
     def shape(self, own: Parameters) -> InclusionShape:
         """Return the body."""
         logs, vectors = np.linalg.eigh(self.log_stretch(own))
@@ -106,11 +119,13 @@ class Family(ABC):
     @cached_property
     def basis(self) -> Float[np.ndarray, "k 3 3"]:
         """The matrices of the distortions."""
-        return np.reshape([DISTORTIONS[name] for name in self.distortions], (-1, 3, 3))
+        known = [DISTORTIONS[name] for name in self.distortions if name in DISTORTIONS]
+        return np.reshape(known, (-1, 3, 3))
 
     def log_stretch(self, own: Parameters) -> Float[np.ndarray, "3 3"]:
         """Return S, the logarithm of the matrix that maps the body of unit volume to this one."""
-        return own.log_radius * np.eye(3) + np.tensordot(own.distortions, self.basis, 1)
+        stretches = own.distortions[: len(self.basis)]
+        return own.log_radius * np.eye(3) + np.tensordot(stretches, self.basis, 1)
 
     def log_change(
         self, own: Parameters, sites: Sites
@@ -127,7 +142,7 @@ class Family(ABC):
         near = self._near(own, sites)
         points, width = sites.points[near], sites.width[near]
         distance, slopes = self.distance_derivative(own, points)
-        slopes[len(CENTER)] -= self._shift(own, width)[:, None]
+        slopes += self._shift_derivative(own, width)[:, :, None]
         inside = self._inside(own, distance, width)
         weights = inside * (1.0 - inside) * (-2.0 / width / points.shape[1])[:, None]
         columns = own.log_contrast * np.einsum("vs,kvs->vk", weights, slopes)
@@ -157,7 +172,13 @@ class Family(ABC):
 
     def _shift(self, own: Parameters, width: Widths) -> Widths:
         """Shift of a smooth boundary (mm), which would enlarge a ball by its curvature."""
-        return self.curvature * _VARIANCE * width * width / np.exp(own.log_radius)
+        return VARIANCE * width * width / np.exp(own.log_radius)
+
+    def _shift_derivative(self, own: Parameters, width: Widths) -> Float[np.ndarray, "k volumes"]:
+        """Return the derivatives of the shift by the parameters of `distance_derivative`."""
+        slopes = np.zeros((len(self.parameters) - 1, len(width)))
+        slopes[len(CENTER)] = -self._shift(own, width)
+        return slopes
 
     def _near(self, own: Parameters, sites: Sites) -> Int[np.ndarray, " near"]:
         """Return the indices of the volumes that may touch an inclusion."""

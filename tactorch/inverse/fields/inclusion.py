@@ -1,5 +1,6 @@
 """An inclusion as numbers and as a body."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, NamedTuple
@@ -9,6 +10,9 @@ from jaxtyping import Bool, Float
 
 from tactorch.mesh import Shape, Sphere
 from tactorch.mesh.surfaces import TriangleSurface
+
+_PER_RADIUS = 6  # points of a cloud, for a ball along its radius
+_MIN_VARIANCE = 1e-4  # mm2, of a cloud along a principal axis
 
 
 class Parameters(NamedTuple):
@@ -41,6 +45,45 @@ class Candidate(NamedTuple):
     half_mm: Float[np.ndarray, "3"]  # from the centre to an end of a rod; zero for a ball
 
 
+class Cloud(NamedTuple):
+    """Points inside one or several inclusions, as which others may be tried."""
+
+    points: Float[np.ndarray, "n 3"]  # mm
+    log_radius: float  # log mm, of the ball of the same volume
+    log_contrast: float
+
+    @staticmethod
+    def of(shapes: "Sequence[InclusionShape]") -> "Cloud":
+        """Return the points of a lattice inside inclusions, of their volume and mean contrast."""
+        volumes = np.array([shape.radius_mm**3 for shape in shapes])
+        centers = np.array([shape.center_mm for shape in shapes])
+        halves = np.array([shape.half_size_mm for shape in shapes])
+        low, high = (centers - halves).min(axis=0), (centers + halves).max(axis=0)
+        spacing = np.cbrt(volumes.sum()) / _PER_RADIUS
+        ticks = [np.arange(a, b, spacing) + 0.5 * spacing for a, b in zip(low, high, strict=True)]
+        lattice = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
+        inside = np.any([shape.contains(lattice) for shape in shapes], axis=0)
+        logs = np.log([shape.contrast for shape in shapes])
+        points = lattice[inside] if inside.any() else centers
+        log_contrast = float(np.average(logs, weights=volumes))
+        return Cloud(points, float(np.log(volumes.sum()) / 3.0), log_contrast)
+
+    @property
+    def center(self) -> Float[np.ndarray, "3"]:
+        """Mean of the points, mm."""
+        return self.points.mean(axis=0)
+
+    def principal(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+        """Return the standard deviations (mm) along the principal axes, and these, the rows.
+
+        They are in descending order, and the axes are a rotation.
+        """
+        offsets = self.points - self.center
+        squares, axes = np.linalg.eigh(offsets.T @ offsets / len(offsets))
+        axes = axes.T[::-1] * np.linalg.det(axes.T[::-1])
+        return np.sqrt(np.maximum(squares[::-1], _MIN_VARIANCE)), axes
+
+
 @dataclass(frozen=True)
 class InclusionShape:
     """An ellipsoid of one contrast, and the base of bodies that are other shapes when stretched.
@@ -61,6 +104,11 @@ class InclusionShape:
     unit: ClassVar[Shape] = Sphere()
     unit_volume: ClassVar[float] = 1.0
 
+    @property
+    def form(self) -> str:
+        """Noun for the form."""
+        return "lump"
+
     def contains(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Return whether points (mm) are inside."""
         return self.unit.signed_distance(self.relative(points)) <= 0.0
@@ -77,6 +125,11 @@ class InclusionShape:
     def radius_mm(self) -> float:
         """Radius of the ball of the same volume."""
         return float(np.cbrt(self.unit_volume * np.prod(self.semi_axes_mm)))
+
+    @property
+    def detail_mm(self) -> float:
+        """Length within which strains change near the boundary."""
+        return self.radius_mm
 
     @cached_property
     def vectors(self) -> Float[np.ndarray, "3 3"]:

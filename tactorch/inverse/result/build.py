@@ -100,7 +100,8 @@ def _lump(recording: Recording, found: ShapeInclusion) -> Lump:
         found.youngs_90_mpa,
     )
     depth = measure_depth(mesh, recording.presses, center, inside)
-    return Lump(inclusion, 2.0 * shape.half_size_mm, depth, confidence, Elongation.of(shape))
+    size, elongation = 2.0 * shape.half_size_mm, Elongation.of(shape)
+    return Lump(inclusion, size, depth, confidence, elongation, shape.form)
 
 
 def of_elements(

@@ -122,6 +122,7 @@ class Lump(Summarized):
         confidence: Confidence by the posterior; None without a posterior.
         elongation: Length, widths and direction of a long lump; None for others and in an element
             map.
+        form: Noun for its form, such as "ring"; "lump" for balls, ellipsoids and element maps.
     """
 
     inclusion: Inclusion
@@ -129,6 +130,7 @@ class Lump(Summarized):
     depth: Depth | None
     confidence: Confidence | None
     elongation: Elongation | None = None
+    form: str = "lump"
 
     def summary(self) -> str:
         """Return location, size and moduli, with depth and probability, in a line of text."""
@@ -156,13 +158,14 @@ class Lump(Summarized):
             _of_plain(Depth, values["depth"], ("inward", "above_mm")),
             _of_plain(Confidence, values["confidence"], ("center_deviation_mm",)),
             _of_plain(Elongation, values["elongation"], ("direction",)),
+            values.get("form", "lump"),
         )
 
     def plain(self) -> dict[str, Any]:
         """Return plain values for users: mm, MPa, mm^3."""
         inclusion, depth, confidence = self.inclusion, self.depth, self.confidence
         sizes = {"contrast": float(inclusion.contrast), "size_mm": self.size_mm.tolist()}
-        values = inclusion.plain() | sizes
+        values = inclusion.plain() | sizes | {"form": self.form}
         if depth is not None:
             values |= {
                 "depth_mm": depth.center_mm,

@@ -74,8 +74,8 @@ def headline(result: Reconstruction) -> str:
 def _headline(lump: Lump) -> str:
     contrast = lump.inclusion.contrast
     if lump.inclusion.side == "stiff":
-        return f"A stiff lump, {contrast:.2g} times as stiff as its surroundings"
-    return f"A soft lump, {1 / contrast:.2g} times softer than its surroundings"
+        return f"A stiff {lump.form}, {contrast:.2g} times as stiff as its surroundings"
+    return f"A soft {lump.form}, {1 / contrast:.2g} times softer than its surroundings"
 
 
 def lead(result: Reconstruction) -> str:
@@ -98,11 +98,11 @@ def describe_lump(lump: Lump) -> str:
     inclusion, depth, side = lump.inclusion, lump.depth, lump.inclusion.side
     ratio = inclusion.contrast if side == "stiff" else 1.0 / inclusion.contrast
     below = "" if depth is None else f", {depth.center_mm:.2f} mm below {depth.surface}"
-    size, kind = f"{' x '.join(f'{x:.2g}' for x in lump.size_mm)} mm", f"A {side} lump"
+    size, long = f"{' x '.join(f'{x:.2g}' for x in lump.size_mm)} mm", ""
     if lump.elongation is not None:
-        size, kind = lump.elongation.text(), f"A long {side} lump"
+        size, long = lump.elongation.text(), "long " * (lump.form == "lump")
     text = (
-        f"{kind} at {_point(inclusion.center_mm, 2)}{below}, {size} "
+        f"A {long}{side} {lump.form} at {_point(inclusion.center_mm, 2)}{below}, {size} "
         f"(the volume of a ball of radius {inclusion.equivalent_radius_mm:.2g} mm), "
         f"{ratio:.2g} times as {side} as its surroundings ({inclusion.mean_mpa:.3g} in "
         f"{inclusion.background_mpa:.3g} MPa)."

@@ -61,6 +61,7 @@ class SearchProblem(ABC):
         prior: Prior of the parameters of inclusions.
         errors: Errors of the data that occur.
         proposals: Sources of models.
+        forms: Families as which inclusions are tried that are no balls.
         max_shapes: Largest number of inclusions.
         max_fits: Largest number of proposals from one model that are fitted with `full`.
         tolerance: Of fits, see `fit_shapes`.
@@ -76,6 +77,7 @@ class SearchProblem(ABC):
     prior: ShapePrior
     errors: ErrorModel
     proposals: Sequence[Proposals]
+    forms: Sequence[str] = ()
     max_fits: ClassVar[int] = 3
     tolerance: float = ROUGH
     final_tolerance: ClassVar[float] = FINE

@@ -11,7 +11,16 @@ from jaxtyping import Float, Int
 
 from tactorch.inverse.data.observations import DataModel
 from tactorch.inverse.errors import Levels
-from tactorch.inverse.fields import FAMILIES, SIZE, Candidate, Family, ShapeField, Sites, Vector
+from tactorch.inverse.fields import (
+    FAMILIES,
+    SIZE,
+    Candidate,
+    Cloud,
+    Family,
+    ShapeField,
+    Sites,
+    Vector,
+)
 from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.shapes import Evidence, ShapeFit, ShapesOnSites
 from tactorch.inverse.forward.palpation import contacts_of
@@ -231,12 +240,27 @@ def varied(field: ShapeField, z: Vector, **background: Any) -> tuple[ShapeField,
 
 def less(model: Model, removed: Sequence[int]) -> Start:
     """Return a model without some of its inclusions."""
-    field, values = model.fit.field, model.fit.field.physical(model.fit.z)
-    kept = [k for k in range(len(field.parts)) if k not in removed]
-    fewer = replace(field, families=tuple(field.families[k] for k in kept))
-    parts = [values[: field.n_background], *(values[field.parts[k]] for k in kept)]
     what = f"inclusion {', '.join(map(str, removed))} removed"
-    return Start(what, fewer, fewer.standard(np.concatenate(parts)), model.errors)
+    return Start(what, *_replaced(model, removed, (), []), model.errors)
+
+
+def as_one(model: Model, inclusions: Sequence[int], family: Family) -> Start:
+    """Return a model with one inclusion of a family in place of some of its inclusions."""
+    shapes = list(model.fit.field.shapes(model.fit.z))
+    values = family.like(Cloud.of([shapes[k] for k in inclusions]))
+    what = f"inclusion {' and '.join(map(str, inclusions))} as {family.noun}"
+    return Start(what, *_replaced(model, inclusions, (family,), [values]), model.errors)
+
+
+def _replaced(
+    model: Model, removed: Sequence[int], families: tuple[Family, ...], values: list[Vector]
+) -> tuple[ShapeField, Vector]:
+    """Return the model with other inclusions in place of some."""
+    field, old = model.fit.field, model.fit.field.physical(model.fit.z)
+    kept = [k for k in range(len(field.parts)) if k not in removed]
+    other = replace(field, families=(*(field.families[k] for k in kept), *families))
+    parts = [old[: field.n_background], *(old[field.parts[k]] for k in kept), *values]
+    return other, other.standard(np.concatenate(parts))
 
 
 def with_family(

@@ -29,6 +29,7 @@ from tactorch.inverse.search.proposals import (
     backgrounds,
     changed,
     further,
+    joined,
     layers,
     other_errors,
     removed,
@@ -55,7 +56,10 @@ class ShapeProblem(SearchProblem):
         linear: The presses with linear elements.
     """
 
-    proposals = (other_errors, further, backgrounds, layers, uniform_background, removed, changed)
+    proposals = (
+        other_errors, further, backgrounds, layers, uniform_background, removed, changed, joined,
+    )  # fmt: skip
+    forms = "ellipsoid", "cuboid", "rod", "bent rod", "ring"
 
     def __init__(
         self,

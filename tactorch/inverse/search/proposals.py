@@ -3,10 +3,12 @@
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
 from tactorch.inverse.errors import Levels
+from tactorch.inverse.fields import FAMILIES, InclusionShape
 from tactorch.inverse.fields.family import families_beyond
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import (
@@ -16,6 +18,7 @@ from tactorch.inverse.search.model import (
     Model,
     Proposal,
     Start,
+    as_one,
     less,
     moderate,
     noise_weights,
@@ -54,7 +57,7 @@ def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
         other = same_map.get(_key(proposal.errors), proposal)
         if other is not proposal:
             least += max(0.0, problem.gain(other.trial, fit))
-        if len(proposal.field.families) < len(fit.field.families):
+        if proposal.field.size < fit.field.size:
             least = 0.0  # of two models that explain as much it is the simpler one
         what, chi2 = proposal.what, proposal.trial.chi2
         _log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", what, chi2, gain)
@@ -187,6 +190,32 @@ def changed(problem: SearchProblem, model: Model) -> Iterator[Start]:
         for other in families_beyond(family):
             what = f"inclusion {k} as {other.noun}"
             yield Start(what, *with_family(fit.field, fit.z, k, other), model.errors)
+        if family.judged_as == family.name:
+            for name in problem.forms:
+                if name != family.name:
+                    yield as_one(model, [k], FAMILIES[name])
+
+
+def joined(problem: SearchProblem, model: Model) -> Iterator[Start]:
+    """Yield the model with neighbours that are all stiffer, or softer, as one of each family."""
+    shapes = list(model.fit.field.shapes(model.fit.z))
+    numbers = range(len(shapes))
+    groups = list(combinations(numbers, 2)) + ([tuple(numbers)] if len(shapes) > 2 else [])
+    for group in groups if problem.forms else ():
+        parts = [shapes[k] for k in group]
+        stiffer = [shape.contrast > 1.0 for shape in parts]
+        if (all(stiffer) or not any(stiffer)) and _are_near(parts):
+            for name in problem.forms:
+                yield as_one(model, group, FAMILIES[name])
+
+
+def _are_near(shapes: Sequence[InclusionShape]) -> bool:
+    """Whether each of some inclusions is near another one."""
+    centers = np.array([shape.center_mm for shape in shapes])
+    reach = np.array([max(shape.semi_axes_mm) for shape in shapes])
+    apart = np.linalg.norm(centers[:, None] - centers, axis=2) - reach[:, None] - reach
+    np.fill_diagonal(apart, np.inf)
+    return bool((apart.min(axis=0) < reach).all())
 
 
 def _is_inside(start: Start, proposal: Proposal) -> bool:

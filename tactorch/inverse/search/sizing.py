@@ -35,7 +35,7 @@ def inclusion_sizing(inclusions: Sequence[InclusionShape]) -> Sizing:
     """Return the longest edges (mm) at points (mm): short near boundaries of inclusions."""
 
     def sizing(shape: InclusionShape) -> Sizing:
-        shortest = _PER_RADIUS * shape.radius_mm
+        shortest = _PER_RADIUS * shape.detail_mm
         return lambda points: shortest + _GROWTH * np.abs(shape.distance(points))
 
     return smallest(*map(sizing, inclusions))

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from tactorch.inverse import Reconstruction, Status
-from tactorch.inverse.fields import BALL, ELLIPSOID, ShapeField, ShapePrior
+from tactorch.inverse.fields import BALL, ELLIPSOID, FAMILIES, ShapeField, ShapePrior
 from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.result.lump import Lump
 from tactorch.inverse.result.shapes import ShapeReconstruction
-from tactorch.inverse.result.text import describe, describe_lump
+from tactorch.inverse.result.text import describe, describe_lump, headline
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.simulation import PressPlan, simulate
@@ -55,6 +56,29 @@ def test_a_shape_becomes_a_lump_with_intervals(recording, shapes, inclusions):
     assert "A stiff lump at (5.00, 5.00, 6.00) mm, 4.00 mm below the pressed side z+" in text
     assert f"{low:.2g} to {high:.2g} MPa" in text
     assert "more than 99.9 %" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "own", "form"),
+    [
+        ("ring", [0.0, 0.0, 2.5], "ring"),
+        ("rod", [2.0, 0.0, 1.0], "rod"),
+        ("bent rod", [2.0, 0.0, 0.0, 0.0, 1.0, 0.0], "bent rod"),
+        ("cuboid", [0.0, 1.0, 0.1, 0.2, 0.3], "plate"),
+        ("cuboid", [0.0, -1.0, 0.1, 0.2, 0.3], "bar"),
+        ("cuboid", [0.1, 0.1, 0.1, 0.2, 0.3], "block"),
+    ],
+)
+def test_a_form_is_named(recording, inclusions, name, own, form):
+    field = ShapeField(FIELD.prior, (FAMILIES[name],))
+    z = field.standard(np.array([*VALUES[:6], *own]))
+    posterior = ShapePosterior(field, z, np.zeros(len(z)), 1e-6 * np.eye(len(z)))
+    result = inclusions(recording, ShapeReconstruction(field, z, posterior, 1.0, (50.0,), 50.0))
+    (lump,) = result.lumps
+    assert lump.form == lump.plain()["form"] == form
+    assert Lump.of_stored(lump.stored(), MESH.n_tets).form == form
+    assert f"A stiff {form} at (5.00, 5.00, 6.00) mm" in describe_lump(lump)
+    assert headline(result).startswith(f"A stiff {form}, 4 times as stiff")
 
 
 def test_an_estimate_is_within_its_interval_where_the_best_fit_is_not(recording, inclusions):

@@ -1,0 +1,336 @@
+"""Rods, bent rods and rings: all points within a radius of a curve.
+
+The curve of a rod is p(t) = c + t h with the centre c, half its length h, and t from -1 to 1. That
+of a bent rod has (t^2 - 1/3) b beside it, with the part of b across h, and is taken as straight
+between nodes. A ring is a circle about an axis whose length is the circle's radius. The radius of
+the tube follows from the volume, to which rounded ends contribute.
+"""
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from tactorch.inverse.fields.family import (
+    VARIANCE,
+    Distances,
+    Family,
+    Samples,
+    Slopes,
+    Values,
+    Widths,
+    length,
+)
+from tactorch.inverse.fields.inclusion import COMMON, Cloud, InclusionShape, Parameters
+from tactorch.inverse.fields.prior import ShapePrior
+from tactorch.inverse.fields.sites import Sites
+from tactorch.mesh.surfaces import TriangleSurface, marching_cubes
+
+_DEVIATION = 0.25  # of the components of vectors, over the body's size
+_SEGMENTS = 12  # of a bent rod
+# Length that a ring has beside that of its circle, over the radius of the ball of its volume: the
+# radius of the tube remains finite where the circle shrinks to a point.
+_RING_LENGTH = 0.5
+_STEPS = 30  # of Newton's method for the radius of a tube
+_TINY = 1e-12  # mm2, for directions at zero
+
+Points = Float[np.ndarray, "n 3"]
+Vector = Float[np.ndarray, "3"]
+
+
+class _Foot(NamedTuple):
+    """Offsets of points from the nearest points of a polyline."""
+
+    offset: Points
+    segment: Int[np.ndarray, " n"]
+    along: Float[np.ndarray, " n"]  # part of the segment before the nearest point
+
+
+def _from_polyline(points: Points, nodes: Float[np.ndarray, "m 3"]) -> _Foot:
+    best = np.full(len(points), np.inf)
+    offset, segment = np.zeros_like(points), np.zeros(len(points), dtype=np.int64)
+    along = np.zeros(len(points))
+    for k, (begin, end) in enumerate(pairwise(nodes)):
+        side = end - begin
+        t = np.clip((points - begin) @ side / (side @ side + _TINY), 0.0, 1.0)
+        apart = points - begin - t[:, None] * side
+        squares = np.einsum("nd,nd->n", apart, apart)
+        closer = squares < best
+        best[closer], offset[closer] = squares[closer], apart[closer]
+        segment[closer], along[closer] = k, t[closer]
+    return _Foot(offset, segment, along)
+
+
+def _from_circle(points: Points, center: Vector, axis: Vector) -> tuple[Points, Points]:
+    """Return offsets of points from the nearest ones of a circle, whose directions are second."""
+    apart, radius = points - center, float(length(axis))
+    across = apart - np.outer(apart @ axis, axis) / radius**2
+    outward = across / length(across)[:, None]
+    return apart - radius * outward, outward
+
+
+@dataclass(frozen=True)
+class TubeShape(InclusionShape):
+    """All points within a radius of a curve; the semi-axes are half the extents along its axes.
+
+    Attributes:
+        nodes_mm: Nodes of the curve of a rod; the axis of the circle of a ring, alone.
+        tube_mm: Radius of the tube.
+        ball_mm: Radius of the ball of its volume.
+    """
+
+    nodes_mm: tuple[tuple[float, ...], ...]
+    tube_mm: float
+    ball_mm: float
+
+    @property
+    def form(self) -> str:
+        """Noun for the form."""
+        return {1: "ring", 2: "rod"}.get(len(self.nodes_mm), "bent rod")
+
+    def contains(self, points: Points) -> Bool[np.ndarray, " n"]:
+        """Return whether points (mm) are inside."""
+        return self.distance(points) <= 0.0
+
+    def distance(self, points: Points) -> Float[np.ndarray, " n"]:
+        """Return the distance to the boundary (mm), negative inside."""
+        return length(self._offsets(points)) - self.tube_mm
+
+    def _offsets(self, points: Points) -> Points:
+        nodes = np.array(self.nodes_mm)
+        if len(nodes) == 1:
+            return _from_circle(points, np.array(self.center_mm), nodes[0])[0]
+        return _from_polyline(points, nodes).offset
+
+    @property
+    def radius_mm(self) -> float:
+        """Radius of the ball of the same volume."""
+        return self.ball_mm
+
+    @property
+    def detail_mm(self) -> float:
+        """Radius of the tube."""
+        return self.tube_mm
+
+    @property
+    def half_size_mm(self) -> Float[np.ndarray, "3"]:
+        """Half the size along x, y and z."""
+        nodes = np.array(self.nodes_mm)
+        if len(nodes) == 1:
+            across = np.sqrt(np.maximum(nodes[0] @ nodes[0] - nodes[0] ** 2, 0.0))
+            return np.asarray(across + self.tube_mm)
+        return np.abs(nodes - self.center_mm).max(axis=0) + self.tube_mm
+
+    def surface(self, segments: int = 48) -> TriangleSurface:
+        """Return vertices (mm) and outward triangles; the number of segments has no effect."""
+        bounds = np.array(self.center_mm) + np.outer([-1.0, 1.0], self.half_size_mm)
+        vertices, triangles = marching_cubes(self.distance, bounds, "an inclusion")
+        offsets = self._offsets(vertices)
+        beyond = 1.0 - self.tube_mm / length(offsets)
+        return vertices - beyond[:, None] * offsets, triangles
+
+
+class TubeFamily(Family):
+    """Tubes: centre, radius of the ball of the same volume, contrast and vectors of the curve."""
+
+    vectors: tuple[str, ...]
+
+    def __init__(self) -> None:
+        self.judged_as = self.name
+        self.noun = f"a {self.name}"
+        self.distortions = tuple(f"{vector} {axis}" for vector in self.vectors for axis in "xyz")
+
+    @abstractmethod
+    def offsets(self, own: Parameters, points: Points) -> tuple[Points, Float[np.ndarray, "k n"]]:
+        """Return offsets of points from the curve, and derivatives of distances by its vectors."""
+
+    @abstractmethod
+    def length(self, own: Parameters) -> tuple[float, Float[np.ndarray, " k"]]:
+        """Return the length of the curve (mm), and its derivatives by the vectors."""
+
+    @abstractmethod
+    def vectors_of(self, cloud: Cloud) -> Float[np.ndarray, "vectors 3"]:
+        """Return the vectors of the curve through a cloud of points."""
+
+    @abstractmethod
+    def nodes(self, own: Parameters) -> Float[np.ndarray, "m 3"]:
+        """Return `TubeShape.nodes_mm`."""
+
+    def scale(self, prior: ShapePrior) -> tuple[list[float], list[float]]:
+        mean, deviation = super().scale(prior)
+        count = len(self.distortions)
+        return mean, [*deviation[: len(COMMON)], *[_DEVIATION * prior.size_mm] * count]
+
+    def like(self, cloud: Cloud) -> Values:
+        vectors = self.vectors_of(cloud).ravel()
+        return np.array([*cloud.center, cloud.log_radius, cloud.log_contrast, *vectors])
+
+    def shape(self, own: Parameters) -> InclusionShape:
+        half, axes = self.extents(own)
+        return TubeShape(
+            tuple(own.center.tolist()),
+            tuple((half + self._radius(own)[0]).tolist()),
+            tuple(tuple(row) for row in axes.tolist()),
+            float(np.exp(own.log_contrast)),
+            tuple(tuple(row) for row in self.nodes(own).tolist()),
+            self._radius(own)[0],
+            float(np.exp(own.log_radius)),
+        )
+
+    def extents(self, own: Parameters) -> tuple[Vector, Float[np.ndarray, "3 3"]]:
+        """Return half the extents of the curve along its principal axes, and these, the rows."""
+        offsets = self.nodes(own) - own.center
+        axes = np.linalg.svd(offsets, full_matrices=True)[2]
+        half: Vector = np.abs(offsets @ axes.T).max(axis=0)
+        order = np.argsort(-half)
+        return half[order], axes[order]
+
+    def distance(self, own: Parameters, points: Samples) -> Distances:
+        offsets = self.offsets(own, points.reshape(-1, 3))[0]
+        return length(offsets).reshape(points.shape[:-1]) - self._radius(own)[0]
+
+    def distance_derivative(self, own: Parameters, points: Samples) -> tuple[Distances, Slopes]:
+        offsets, vectors = self.offsets(own, points.reshape(-1, 3))
+        radius, by_size, by_vectors = self._radius(own)
+        distances = length(offsets)
+        sizes = np.full((1, len(offsets)), -by_size)
+        slopes = [-offsets.T / distances, sizes, vectors - by_vectors[:, None]]
+        shape = points.shape[:-1]
+        return distances.reshape(shape) - radius, np.concatenate(slopes).reshape(-1, *shape)
+
+    def _shift(self, own: Parameters, width: Widths) -> Widths:
+        return 0.5 * VARIANCE * width * width / self._radius(own)[0]
+
+    def _shift_derivative(self, own: Parameters, width: Widths) -> Float[np.ndarray, "k volumes"]:
+        radius, by_size, by_vectors = self._radius(own)
+        slopes = np.concatenate([np.zeros(3), [by_size], by_vectors])
+        return -np.outer(slopes, self._shift(own, width)) / radius
+
+    def _near(self, own: Parameters, sites: Sites) -> Int[np.ndarray, " near"]:
+        apart = length(self.offsets(own, sites.centers)[0])
+        reach = self._radius(own)[0] + 4.0 * sites.width + sites.radii
+        return np.flatnonzero(apart < reach)
+
+    def _radius(self, own: Parameters) -> tuple[float, float, Float[np.ndarray, " k"]]:
+        """Return the tube's radius (mm), and its derivatives by log-radius and vectors.
+
+        The volumes of tube and ball, over that of the unit ball, are a^2 L 3/4 + a^3 = R^3.
+        """
+        total, by_vectors = self.length(own)
+        ball = radius = float(np.exp(own.log_radius))
+        for _ in range(_STEPS):  # from above, where the volume is convex
+            excess = 0.75 * total * radius**2 + radius**3 - ball**3
+            radius -= excess / (1.5 * total * radius + 3.0 * radius**2)
+        slope = 1.5 * total * radius + 3.0 * radius**2
+        return radius, 3.0 * ball**3 / slope, -0.75 * radius**2 / slope * by_vectors
+
+
+class RodFamily(TubeFamily):
+    """Straight rods."""
+
+    name = "rod"
+    vectors: tuple[str, ...] = ("half",)
+
+    def curve(self, own: Parameters) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 k"]]:
+        """Return nodes of the curve about its centre, and their derivatives by the vectors."""
+        ends = np.array([-1.0, 1.0])
+        return np.outer(ends, own.distortions), ends[:, None, None] * np.eye(3)
+
+    def vectors_of(self, cloud: Cloud) -> Float[np.ndarray, "vectors 3"]:
+        deviations, axes = cloud.principal()
+        # That of a disc is half its radius; of a line, its length over the root of twelve.
+        half = np.sqrt(3.0) * deviations[0] - 0.95 * np.hypot(*deviations[1:])
+        return np.maximum(half, 0.5 * deviations[0]) * axes[:1]
+
+    def nodes(self, own: Parameters) -> Float[np.ndarray, "m 3"]:
+        return own.center + self.curve(own)[0]
+
+    def offsets(self, own: Parameters, points: Points) -> tuple[Points, Float[np.ndarray, "k n"]]:
+        nodes, slopes = self.curve(own)
+        foot = _from_polyline(points, own.center + nodes)
+        away = foot.offset / length(foot.offset)[:, None]
+        by_nodes = [np.einsum("nd,ndk->kn", away, slopes[foot.segment + end]) for end in (0, 1)]
+        return foot.offset, -(1.0 - foot.along) * by_nodes[0] - foot.along * by_nodes[1]
+
+    def length(self, own: Parameters) -> tuple[float, Float[np.ndarray, " k"]]:
+        nodes, slopes = self.curve(own)
+        sides = np.diff(nodes, axis=0)
+        lengths = length(sides)
+        along = sides / lengths[:, None]
+        return float(lengths.sum()), np.einsum("md,mdk->k", along, np.diff(slopes, axis=0))
+
+
+class BentRodFamily(RodFamily):
+    """Rods that are bent in a plane."""
+
+    name = "bent rod"
+    vectors: tuple[str, ...] = ("half", "bend")
+
+    def curve(self, own: Parameters) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 k"]]:
+        half, bend = own.distortions.reshape(2, 3)
+        t = np.linspace(-1.0, 1.0, _SEGMENTS + 1)
+        square, part = float(half @ half) + _TINY, float(half @ bend)
+        across = np.eye(3) - np.outer(half, half) / square
+        by_half = -np.outer(half, bend) / square - part / square * np.eye(3)
+        by_half += 2.0 * part / square**2 * np.outer(half, half)
+        slopes = np.concatenate(
+            [
+                t[:, None, None] * np.eye(3) + (t**2 - 1.0 / 3.0)[:, None, None] * by_half,
+                (t**2 - 1.0 / 3.0)[:, None, None] * across,
+            ],
+            axis=2,
+        )
+        return np.outer(t, half) + np.outer(t**2 - 1.0 / 3.0, across @ bend), slopes
+
+    def vectors_of(self, cloud: Cloud) -> Float[np.ndarray, "vectors 3"]:
+        """Return the vectors of the parabola through the points."""
+        half = super().vectors_of(cloud)[0]
+        t = (cloud.points - cloud.center) @ half / float(half @ half)
+        columns = np.stack([np.ones_like(t), t, t**2 - 1.0 / 3.0], axis=1)
+        fitted = np.linalg.lstsq(columns, cloud.points - cloud.center, rcond=None)[0]
+        return np.stack([half, fitted[2]])
+
+
+class RingFamily(TubeFamily):
+    """Rings about an axis."""
+
+    name = "ring"
+    vectors: tuple[str, ...] = ("axis",)
+
+    def vectors_of(self, cloud: Cloud) -> Float[np.ndarray, "vectors 3"]:
+        deviations, axes = cloud.principal()
+        return float(np.hypot(*deviations[:2])) * axes[2:]
+
+    def nodes(self, own: Parameters) -> Float[np.ndarray, "m 3"]:
+        return own.distortions[None]
+
+    def extents(self, own: Parameters) -> tuple[Vector, Float[np.ndarray, "3 3"]]:
+        axes = np.linalg.svd(own.distortions[None], full_matrices=True)[2][::-1]
+        return float(length(own.distortions)) * np.array([1.0, 1.0, 0.0]), axes
+
+    def offsets(self, own: Parameters, points: Points) -> tuple[Points, Float[np.ndarray, "k n"]]:
+        offsets, outward = _from_circle(points, own.center, own.distortions)
+        away = offsets / length(offsets)[:, None]
+        normal = own.distortions / length(own.distortions)
+        radial, along = (away * outward).sum(axis=1), away @ normal
+        return offsets, along * outward.T - np.outer(normal, radial)
+
+    def length(self, own: Parameters) -> tuple[float, Float[np.ndarray, " k"]]:
+        around = 2.0 * np.pi * float(length(own.distortions))
+        return around, 2.0 * np.pi * own.distortions / length(own.distortions)
+
+    def _radius(self, own: Parameters) -> tuple[float, float, Float[np.ndarray, " k"]]:
+        """Return the tube's radius, and its derivatives: a ring has no ends."""
+        around, by_vectors = self.length(own)
+        ball = float(np.exp(own.log_radius))
+        least = _RING_LENGTH * ball
+        total = float(np.hypot(around, least))
+        radius = float(np.sqrt(4.0 / 3.0 * ball**3 / total))
+        by_size = radius * (1.5 - 0.5 * (least / total) ** 2)
+        return radius, by_size, -0.5 * radius * around / total**2 * by_vectors
+
+
+ROD, BENT_ROD, RING = RodFamily(), BentRodFamily(), RingFamily()
