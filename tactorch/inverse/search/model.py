@@ -253,7 +253,10 @@ def as_one(model: Model, inclusions: Sequence[int], family: Family) -> Start:
 
 
 def _replaced(
-    model: Model, removed: Sequence[int], families: tuple[Family, ...], values: list[Vector]
+    model: Model,
+    removed: Sequence[int],
+    families: tuple[Family, ...],
+    values: list[Float[np.ndarray, " _"]],
 ) -> tuple[ShapeField, Vector]:
     """Return the model with other inclusions in place of some."""
     field, old = model.fit.field, model.fit.field.physical(model.fit.z)
