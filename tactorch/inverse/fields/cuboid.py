@@ -53,8 +53,8 @@ class CuboidShape(InclusionShape):
 
     @property
     def detail_mm(self) -> float:
-        """Half the smallest side."""
-        return self.semi_axes_mm[-1]
+        """Mean of half the smallest side and the radius, geometric."""
+        return float(np.sqrt(self.semi_axes_mm[-1] * self.radius_mm))
 
 
 class CuboidFamily(Family):

@@ -112,8 +112,8 @@ class TubeShape(InclusionShape):
 
     @property
     def detail_mm(self) -> float:
-        """Radius of the tube."""
-        return self.tube_mm
+        """Mean of the radii of the tube and of the ball of its volume, geometric."""
+        return float(np.sqrt(self.tube_mm * self.ball_mm))
 
     @property
     def half_size_mm(self) -> Float[np.ndarray, "3"]:

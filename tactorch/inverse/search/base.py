@@ -30,7 +30,7 @@ from tactorch.inverse.search.model import (
     with_ball,
 )
 
-_TRIAL_STEPS = 8  # of Gauss-Newton with the reduced model
+_TRIAL_STEPS = 20  # of Gauss-Newton with the reduced model
 _QUICK_STARTS = 2  # fits of an inclusion for a provisional answer
 # Tolerances of fits: within one standard deviation of the optimum, and a sixth of the gain by which
 # models are accepted; and within a fifth of a standard deviation, for the last fit.
@@ -78,7 +78,7 @@ class SearchProblem(ABC):
     errors: ErrorModel
     proposals: Sequence[Proposals]
     forms: Sequence[str] = ()
-    max_fits: ClassVar[int] = 3
+    max_fits: ClassVar[int] = 4
     tolerance: float = ROUGH
     final_tolerance: ClassVar[float] = FINE
     trial_share: ClassVar[float] = 1.0
@@ -182,8 +182,12 @@ class SearchProblem(ABC):
         )  # fmt: skip
         return Model(*fit, start.errors)
 
-    def challenge(self, start: Start, model: Model, margin: float = 0.0) -> Model:
+    def challenge(
+        self, start: Start, model: Model, margin: float = 0.0, rival: Model | None = None
+    ) -> Model:
         """Fit a proposal with the full model, as far as it may have more evidence than a model.
+
+        It is fitted from that model, and compared with a rival if there is one.
 
         A fit that will hardly have more, or less by no more than a margin, ends early: before its
         first step, whose gain is predicted by the derivatives of the reduced model, or between
@@ -194,7 +198,7 @@ class SearchProblem(ABC):
 
         def is_worse(fit: ShapeFit, fall: float) -> bool:
             self._check()
-            return falls_short(fit, OPTIMISM * fall, model.fit, self.groups, margin)
+            return falls_short(fit, OPTIMISM * fall, (rival or model).fit, self.groups, margin)
 
         family = ShapesOnSites(start.field, self.sites)
         if start.field is model.fit.field:  # with other errors of the data

@@ -68,10 +68,12 @@ class Proposal(Start):
     Attributes:
         trial: The evidence.
         least_gain: Gain of log-evidence for which it is accepted.
+        promise: Gain of the trial at the noise that the present model would need.
     """
 
     trial: Evidence
     least_gain: float = 0.0
+    promise: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

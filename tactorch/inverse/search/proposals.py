@@ -1,6 +1,7 @@
 """Proposals of a search for inclusions: models that may be better than the present one."""
 
 import logging
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -37,11 +38,11 @@ _SAME = 2.0  # distance of centres, in radii, below which two starts are of the 
 
 
 def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
-    """Return models that seem better than the present one, the best first.
+    """Return models that seem better than the present one, the best of each kind first.
 
-    They are ordered by their evidence at the noise that the present model would need, which prefers
-    an inclusion to large errors of the forces that explain as much. A model with other errors
-    beside a change of the map has to be better than the present map with these errors.
+    Those of a kind are ordered by their evidence at the noise that the present model would need,
+    which prefers an inclusion to large errors of the forces that explain as much. A model with
+    other errors beside a change of the map has to be better than the present map with these errors.
     """
     fit = model.fit
     starts = [start for source in problem.proposals for start in source(problem, model)]
@@ -51,7 +52,7 @@ def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
         pairs = _fitted(problem, model, _pairs(problem, model, proposals))
         proposals += [pair for pair in pairs if pair.trial.chi2 < _MUCH_LESS * least_chi2]
     same_map = {_key(p.errors): p for p in proposals if p.field is fit.field}
-    better: list[Proposal] = []
+    better, weights = list[Proposal](), noise_weights(problem.groups, fit.residuals)
     for proposal in proposals:
         gain, least = problem.gain(proposal.trial, fit), problem.min_gain
         other = same_map.get(_key(proposal.errors), proposal)
@@ -62,9 +63,25 @@ def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
         what, chi2 = proposal.what, proposal.trial.chi2
         _log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", what, chi2, gain)
         if gain > problem.trial_share * least:
-            better.append(replace(proposal, least_gain=least))
-    weights = noise_weights(problem.groups, fit.residuals)
-    return sorted(better, key=lambda p: -weighted_gain(p.trial, fit, weights))
+            promise = weighted_gain(proposal.trial, fit, weights)
+            better.append(replace(proposal, least_gain=least, promise=promise))
+    return _by_kind(sorted(better, key=lambda p: -p.promise), model)
+
+
+def _by_kind(proposals: Sequence[Proposal], model: Model) -> list[Proposal]:
+    """Return the best proposal of each kind first, then the second best ones.
+
+    The reduced model compares proposals of one kind, such as two places of a further inclusion,
+    better than those of two kinds, such as a further inclusion and another form.
+    """
+    field, ranks, seen = model.fit.field, list[int](), Counter[tuple[bool, ...]]()
+    for other in proposals:
+        adds = len(other.field.families) > len(field.families)
+        changes = other.field.families != field.families, other.field.background != field.background
+        kind = (adds, *changes, other.errors != model.errors)
+        ranks.append(seen[kind])
+        seen[kind] += 1
+    return [proposals[k] for k in np.argsort(ranks, kind="stable")]
 
 
 def _key(errors: Levels) -> frozenset[tuple[str, float]]:

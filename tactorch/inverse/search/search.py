@@ -46,6 +46,7 @@ _log = logging.getLogger(__name__)
 _QUICK_PLACES, _FIRST_PLACES = 128, 384
 _MAX_SHAPES = 4
 _MAX_MODELS = 10  # one after the other
+_MUCH_LESS = 0.1  # of the gain that the best proposal promises
 _MANY = 10.0  # contrast beyond which a provisional answer states none
 
 
@@ -258,21 +259,26 @@ def _first(
 def _accept(
     problem: SearchProblem, model: Model, untried: list[Proposal]
 ) -> tuple[Proposal, Model] | None:
-    """Fit proposals with the full model until one has more evidence than the model.
+    """Return the proposal of most evidence by the full model, if that is more than the model's.
 
-    Those that were fitted are removed from the list.
+    Proposals that promise much less than the best one are fitted only where those before them are
+    refused. Those that were fitted are removed from the list.
     """
-    while untried:
+    best: tuple[Proposal, Model] | None = None
+    most = max((proposal.promise for proposal in untried), default=0.0)
+    while untried and (best is None or untried[0].promise > _MUCH_LESS * most):
         proposal = untried[0]
         with suppress(ConvergenceError), progress_line(proposal.what):
-            trial = problem.challenge(proposal, model)
+            trial = problem.challenge(proposal, model, rival=best and best[1])
             change = problem.gain(trial.fit, model.fit)
             _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)
-            if change > proposal.least_gain:
-                untried.clear()
-                return proposal, trial
+            is_better = best is None or problem.gain(trial.fit, best[1].fit) > 0.0
+            if change > proposal.least_gain and is_better:
+                best = proposal, trial
         del untried[0]
-    return None
+    if best is not None:
+        untried.clear()
+    return best
 
 
 def _log_odds(problem: SearchProblem, model: Model) -> tuple[tuple[float, ...], float]:
