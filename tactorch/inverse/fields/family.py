@@ -35,6 +35,7 @@ FAMILIES = Registry(
         "ellipsoid": "tactorch.inverse.fields.ellipsoid:ELLIPSOID",
         "cuboid": "tactorch.inverse.fields.cuboid:CUBOID",
         "rod": "tactorch.inverse.fields.tube:ROD",
+        "tapered rod": "tactorch.inverse.fields.tube:TAPERED_ROD",
         "bent rod": "tactorch.inverse.fields.tube:BENT_ROD",
         "ring": "tactorch.inverse.fields.tube:RING",
     },

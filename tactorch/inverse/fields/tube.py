@@ -1,13 +1,15 @@
-"""Rods, bent rods and rings: all points within a radius of a curve.
+"""Rods, tapered and bent rods, and rings: all points within a radius of a curve.
 
-The curve of a rod is p(t) = c + t h with the centre c, half its length h, and t from -1 to 1. That
-of a bent rod has (t^2 - 1/3) b beside it, with the part of b across h, and is taken as straight
+The curve of a rod is p(t) = c + t h with the centre c, half its length h, and t from -1 to 1. The
+radius of a tapered one is a + k |h| t, so that it is the convex hull of two balls. The curve of a
+bent rod has (t^2 - 1/3) b beside it, with the part of b across h, and is taken as straight
 between nodes. A ring is a circle about an axis whose length is the circle's radius. The radius of
 the tube follows from the volume, to which rounded ends contribute.
 """
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -31,6 +33,7 @@ from tactorch.mesh.surfaces import TriangleSurface, marching_cubes
 
 _DEVIATION = 0.25  # of the components of vectors, over the body's size
 _SEGMENTS = 12  # of a bent rod
+_TAPER, _MAX_TAPER = 0.6, 0.8  # standard deviation, and the largest hyperbolic tangent of a start
 # Length that a ring has beside that of its circle, over the radius of the ball of its volume: the
 # radius of the tube remains finite where the circle shrinks to a point.
 _RING_LENGTH = 0.5
@@ -72,23 +75,42 @@ def _from_circle(points: Points, center: Vector, axis: Vector) -> tuple[Points, 
     return apart - radius * outward, outward
 
 
+def _from_tapered(
+    points: Points, center: Vector, half: Vector, slope: float
+) -> tuple[Points, Float[np.ndarray, " n"]]:
+    """Return offsets of points from those of an axis whose balls are nearest, and t of these.
+
+    The radius of the balls changes with the position along the axis by the slope, below one.
+    """
+    size = float(length(half))
+    apart, along = points - center, half / size
+    y = apart @ along
+    across = length(apart - np.outer(y, along))
+    t = np.clip((y + across * slope / np.sqrt(1.0 - slope**2)) / size, -1.0, 1.0)
+    return apart - np.outer(t, half), t
+
+
 @dataclass(frozen=True)
 class TubeShape(InclusionShape):
     """All points within a radius of a curve; the semi-axes are half the extents along its axes.
 
     Attributes:
         nodes_mm: Nodes of the curve of a rod; the axis of the circle of a ring, alone.
-        tube_mm: Radius of the tube.
+        tube_mm: Radius of the tube, at the centre of a tapered rod.
         ball_mm: Radius of the ball of its volume.
+        slope: Change of the radius of a rod along it.
     """
 
     nodes_mm: tuple[tuple[float, ...], ...]
     tube_mm: float
     ball_mm: float
+    slope: float = 0.0
 
     @property
     def form(self) -> str:
         """Noun for the form."""
+        if self.slope:
+            return "tapered rod"
         return {1: "ring", 2: "rod"}.get(len(self.nodes_mm), "bent rod")
 
     def contains(self, points: Points) -> Bool[np.ndarray, " n"]:
@@ -97,13 +119,20 @@ class TubeShape(InclusionShape):
 
     def distance(self, points: Points) -> Float[np.ndarray, " n"]:
         """Return the distance to the boundary (mm), negative inside."""
-        return length(self._offsets(points)) - self.tube_mm
+        offsets, radii = self._offsets(points)
+        return length(offsets) - radii
 
-    def _offsets(self, points: Points) -> Points:
-        nodes = np.array(self.nodes_mm)
+    def _offsets(self, points: Points) -> tuple[Points, Float[np.ndarray, " n"]]:
+        """Return offsets of points from the curve, and the radii there."""
+        nodes, center = np.array(self.nodes_mm), np.array(self.center_mm)
+        radii = np.full(len(points), self.tube_mm)
         if len(nodes) == 1:
-            return _from_circle(points, np.array(self.center_mm), nodes[0])[0]
-        return _from_polyline(points, nodes).offset
+            return _from_circle(points, center, nodes[0])[0], radii
+        if self.slope:
+            half = nodes[1] - center
+            offsets, t = _from_tapered(points, center, half, self.slope)
+            return offsets, radii + self.slope * float(length(half)) * t
+        return _from_polyline(points, nodes).offset, radii
 
     @property
     def radius_mm(self) -> float:
@@ -122,14 +151,16 @@ class TubeShape(InclusionShape):
         if len(nodes) == 1:
             across = np.sqrt(np.maximum(nodes[0] @ nodes[0] - nodes[0] ** 2, 0.0))
             return np.asarray(across + self.tube_mm)
-        return np.abs(nodes - self.center_mm).max(axis=0) + self.tube_mm
+        half = np.abs(nodes - self.center_mm)
+        ends = self.slope * float(length(half[-1])) * np.array([[-1.0], [1.0]])
+        return (half + (ends if self.slope else 0.0)).max(axis=0) + self.tube_mm
 
     def surface(self, segments: int = 48) -> TriangleSurface:
         """Return vertices (mm) and outward triangles; the number of segments has no effect."""
         bounds = np.array(self.center_mm) + np.outer([-1.0, 1.0], self.half_size_mm)
         vertices, triangles = marching_cubes(self.distance, bounds, "an inclusion")
-        offsets = self._offsets(vertices)
-        beyond = 1.0 - self.tube_mm / length(offsets)
+        offsets, radii = self._offsets(vertices)
+        beyond = 1.0 - radii / length(offsets)
         return vertices - beyond[:, None] * offsets, triangles
 
 
@@ -263,6 +294,91 @@ class RodFamily(TubeFamily):
         return float(lengths.sum()), np.einsum("md,mdk->k", along, np.diff(slopes, axis=0))
 
 
+class TaperedRodFamily(RodFamily):
+    """Rods that are thicker at one end: the convex hulls of two balls.
+
+    The slope of the radius is k = q / (1 + q^2)^(1/2) with q = a tanh(taper) / |h| and the radius a
+    at the centre.
+    """
+
+    name = "tapered rod"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.distortions = (*self.distortions, "taper")
+
+    def scale(self, prior: ShapePrior) -> tuple[list[float], list[float]]:
+        mean, deviation = super().scale(prior)
+        return mean, [*deviation[:-1], _TAPER]
+
+    def like(self, cloud: Cloud) -> Values:
+        half = self.vectors_of(cloud)[0]
+        t = (cloud.points - cloud.center) @ half / float(half @ half)
+        squares = ((cloud.points - cloud.center - np.outer(t, half)) ** 2).sum(axis=1)
+        # The mean square of the distance from the axis is half that of the radius.
+        slope, mean = np.polyfit(t, squares, 1)
+        taper = np.arctanh(np.clip(0.5 * slope / max(mean, _TINY), -_MAX_TAPER, _MAX_TAPER))
+        return np.array([*cloud.center, cloud.log_radius, cloud.log_contrast, *half, taper])
+
+    def curve(self, own: Parameters) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 k"]]:
+        return super().curve(own._replace(distortions=own.distortions[:3]))
+
+    def shape(self, own: Parameters) -> InclusionShape:
+        shape = super().shape(own)
+        assert isinstance(shape, TubeShape)
+        return replace(shape, slope=float(_slope(*self._sizes(own)[:3]).real))
+
+    def distance(self, own: Parameters, points: Samples) -> Distances:
+        radius, size, taper, _ = self._sizes(own)
+        slope = float(_slope(radius, size, taper).real)
+        half = own.distortions[:3]
+        offsets, t = _from_tapered(points.reshape(-1, 3), own.center, half, slope)
+        return (length(offsets) - radius - slope * size * t).reshape(points.shape[:-1])
+
+    def distance_derivative(self, own: Parameters, points: Samples) -> tuple[Distances, Slopes]:
+        radius, size, taper, _ = self._sizes(own)
+        slope, half = float(_slope(radius, size, taper).real), own.distortions[:3]
+        offsets, t = _from_tapered(points.reshape(-1, 3), own.center, half, slope)
+        distances = length(offsets)
+        away = offsets.T / distances
+        _, by_size, by_vectors = self._radius(own)
+        by_radius, by_length, by_taper = _gradient(_slope, radius, size, taper)
+        along, within = half / size, 1.0 - taper**2
+        # Of the slope times the length, by log-radius, vector and taper, as of the radius.
+        ends = np.concatenate([[by_radius * by_size], by_radius * by_vectors])
+        ends[1:4] += by_length * along
+        ends[4] += by_taper * within
+        ends *= size
+        ends[1:4] += slope * along
+        radii = np.concatenate([[by_size], by_vectors])[:, None] + np.outer(ends, t)
+        slopes = np.concatenate([-away, -radii])
+        slopes[4:7] -= away * t
+        shape = points.shape[:-1]
+        values = distances - radius - slope * size * t
+        return values.reshape(shape), slopes.reshape(-1, *shape)
+
+    def _near(self, own: Parameters, sites: Sites) -> Int[np.ndarray, " near"]:
+        apart = self.distance(own, sites.centers[:, None])[:, 0]
+        return np.flatnonzero(apart < 4.0 * sites.width + sites.radii)
+
+    def _radius(self, own: Parameters) -> tuple[float, float, Float[np.ndarray, " k"]]:
+        """Return the radius at the centre, and its derivatives by log-radius, vector and taper."""
+        radius, size, taper, ball = self._sizes(own)
+        by_radius, by_size, by_taper = _gradient(_volume, radius, size, taper)
+        along = own.distortions[:3] / size
+        others = np.array([*(-by_size / by_radius * along), -by_taper / by_radius * (1 - taper**2)])
+        return radius, 3.0 * ball**3 / by_radius, others
+
+    def _sizes(self, own: Parameters) -> tuple[float, float, float, float]:
+        """Return the radius at the centre, half the length, the taper, and the ball's radius."""
+        size, taper = float(length(own.distortions[:3])), float(np.tanh(own.distortions[3]))
+        ball = radius = float(np.exp(own.log_radius))
+        for _ in range(_STEPS):
+            excess = float(_volume(radius, size, taper).real) - ball**3
+            radius -= excess / _gradient(_volume, radius, size, taper)[0]
+        return radius, size, taper, ball
+
+
 class BentRodFamily(RodFamily):
     """Rods that are bent in a plane."""
 
@@ -333,4 +449,35 @@ class RingFamily(TubeFamily):
         return radius, by_size, -0.5 * radius * around / total**2 * by_vectors
 
 
-ROD, BENT_ROD, RING = RodFamily(), BentRodFamily(), RingFamily()
+def _slope(radius: complex, size: complex, taper: complex) -> complex:
+    """Return the slope of the radius along a tapered rod."""
+    ratio = radius * taper / size
+    return ratio / np.sqrt(1.0 + ratio**2)
+
+
+def _volume(radius: complex, size: complex, taper: complex) -> complex:
+    """Return the volume of a tapered rod, over that of the unit ball.
+
+    Between the circles where its cone touches the balls it is a frustum, and beyond them it has two
+    caps.
+    """
+    slope = _slope(radius, size, taper)
+    cosine = np.sqrt(1.0 - slope**2)
+    volume: complex = 0.0
+    for sign in (-1.0, 1.0):
+        ball = radius + sign * slope * size
+        height = ball * (1.0 + sign * slope)
+        volume += height**2 * (3.0 * ball - height) / 4.0
+    ends = [(radius + sign * slope * size) * cosine for sign in (-1.0, 1.0)]
+    squares = ends[0] ** 2 + ends[0] * ends[1] + ends[1] ** 2
+    return volume + size * cosine**2 * squares / 2.0
+
+
+def _gradient(function: Callable[..., complex], *at: float) -> list[float]:
+    """Return the derivatives of an analytic function by complex steps."""
+    steps = 1e-30j * np.eye(len(at))
+    return [float(function(*(np.array(at) + step)).imag) / 1e-30 for step in steps]
+
+
+ROD, TAPERED_ROD, BENT_ROD = RodFamily(), TaperedRodFamily(), BentRodFamily()
+RING = RingFamily()

@@ -59,7 +59,7 @@ class ShapeProblem(SearchProblem):
     proposals = (
         other_errors, further, backgrounds, layers, uniform_background, removed, changed, joined,
     )  # fmt: skip
-    forms = "ellipsoid", "cuboid", "rod", "bent rod", "ring"
+    forms = "ellipsoid", "cuboid", "rod", "tapered rod", "bent rod", "ring"
 
     def __init__(
         self,

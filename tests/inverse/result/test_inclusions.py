@@ -63,6 +63,7 @@ def test_a_shape_becomes_a_lump_with_intervals(recording, shapes, inclusions):
     [
         ("ring", [0.0, 0.0, 2.5], "ring"),
         ("rod", [2.0, 0.0, 1.0], "rod"),
+        ("tapered rod", [2.0, 0.0, 1.0, 0.5], "tapered rod"),
         ("bent rod", [2.0, 0.0, 0.0, 0.0, 1.0, 0.0], "bent rod"),
         ("cuboid", [0.0, 1.0, 0.1, 0.2, 0.3], "plate"),
         ("cuboid", [0.0, -1.0, 0.1, 0.2, 0.3], "bar"),
