@@ -10,7 +10,6 @@ the tube follows from the volume, to which rounded ends contribute.
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +31,7 @@ from tactorch.inverse.fields.sites import Sites
 from tactorch.mesh.surfaces import TriangleSurface, marching_cubes
 
 _DEVIATION = 0.25  # of the components of vectors, over the body's size
-_SEGMENTS = 12  # of a bent rod
+_SEGMENTS = 8  # of a bent rod
 _TAPER, _MAX_TAPER = 0.6, 0.8  # standard deviation, and the largest hyperbolic tangent of a start
 # Length that a ring has beside that of its circle, over the radius of the ball of its volume: the
 # radius of the tube remains finite where the circle shrinks to a point.
@@ -53,18 +52,18 @@ class _Foot(NamedTuple):
 
 
 def _from_polyline(points: Points, nodes: Float[np.ndarray, "m 3"]) -> _Foot:
-    best = np.full(len(points), np.inf)
-    offset, segment = np.zeros_like(points), np.zeros(len(points), dtype=np.int64)
-    along = np.zeros(len(points))
-    for k, (begin, end) in enumerate(pairwise(nodes)):
-        side = end - begin
-        t = np.clip((points - begin) @ side / (side @ side + _TINY), 0.0, 1.0)
-        apart = points - begin - t[:, None] * side
-        squares = np.einsum("nd,nd->n", apart, apart)
-        closer = squares < best
-        best[closer], offset[closer] = squares[closer], apart[closer]
-        segment[closer], along[closer] = k, t[closer]
-    return _Foot(offset, segment, along)
+    middle = nodes.mean(axis=0)  # less round-off
+    shifted, begins = points - middle, nodes[:-1] - middle
+    sides = np.diff(nodes, axis=0)
+    squares = (sides * sides).sum(axis=1) + _TINY
+    along = shifted @ sides.T - (begins * sides).sum(axis=1)
+    t = np.clip(along / squares, 0.0, 1.0)
+    # Squared distances, less those of the points from the middle.
+    apart = (begins * begins).sum(axis=1) - 2.0 * (shifted @ begins.T)
+    apart -= t * (2.0 * along - t * squares)
+    segment = apart.argmin(axis=1)
+    t = t[np.arange(len(points)), segment]
+    return _Foot(shifted - begins[segment] - t[:, None] * sides[segment], segment, t)
 
 
 def _from_circle(points: Points, center: Vector, axis: Vector) -> tuple[Points, Points]:
