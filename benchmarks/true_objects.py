@@ -27,12 +27,15 @@ The last line printed is one JSON object.
 import argparse
 import hashlib
 import json
+import logging
+import re
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +51,7 @@ from tactorch.files import write_json
 from tactorch.inverse import Settings, find_lumps, invert_map, make_objective
 from tactorch.inverse.posterior import variational_posterior
 from tactorch.inverse.search import find_shapes
+from tactorch.inverse.search.model import MIN_GAIN
 from tactorch.mesh import TetMesh, locate
 from tactorch.recording import Recording, refine_recording
 
@@ -147,10 +151,57 @@ def _invert(recording: Recording, settings: Settings, *, with_deviation: bool) -
     return Answer(values_at(mesh, result.youngs), seconds, deviation, lumps, notes)
 
 
+class Decisions(logging.Handler):
+    """Decisions of a search for which the reduced model and the full one differ, from its log.
+
+    Attributes:
+        found: A sentence on each: a proposal that seemed to have more evidence, or another one that
+            had more than the most promising.
+    """
+
+    _PROPOSAL = re.compile(r"proposal: (.*), chi2 \S+, log-evidence (\S+)")
+    _FITTED = re.compile(r"(.*): chi2 \S+, log-evidence (\S+)")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+        self._promised: dict[str, float] = {}
+        self._fitted: list[tuple[str, float, float]] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a proposal, or the fit of one."""
+        text = record.getMessage()
+        if match := self._PROPOSAL.fullmatch(text):
+            self.finish()
+            self._promised[match[1]] = float(match[2])
+        elif (match := self._FITTED.fullmatch(text)) and match[1] in self._promised:
+            self._fitted.append((match[1], self._promised[match[1]], float(match[2])))
+
+    def finish(self) -> None:
+        """Compare the proposals to one model that were fitted, if there are any."""
+        if not self._fitted:
+            return
+        first, best = (max(self._fitted, key=itemgetter(k)) for k in (1, 2))
+        for what, promised, gain in self._fitted:
+            if gain < MIN_GAIN < promised:
+                self.found.append(f"refused: {what} ({promised:+.3g}, {gain:+.3g})")
+        if best is not first and best[2] > MIN_GAIN:
+            parts = [
+                f"{what} ({promised:+.3g}, {gain:+.3g})" for what, promised, gain in (best, first)
+            ]
+            self.found.append(f"preferred: {parts[0]} to {parts[1]}")
+        self._promised, self._fitted = {}, []
+
+
 def invert_by_shapes(recording: Recording, settings: Settings) -> Answer:
     """Shapes in a smooth background, with their posterior."""
-    began = time.perf_counter()
+    began, decisions = time.perf_counter(), Decisions()
+    log = logging.getLogger("tactorch.inverse.search")
+    log.addHandler(decisions)
+    log.setLevel(logging.DEBUG)
     result = find_shapes(recording, settings)
+    decisions.finish()
+    log.removeHandler(decisions)
     seconds = time.perf_counter() - began
     lumps = tuple(
         FoundLump(
@@ -172,6 +223,7 @@ def invert_by_shapes(recording: Recording, settings: Settings) -> Answer:
         "rim_deviation": result.rim_deviation,
         "degree": result.field.background.degree,
         "history": result.history,
+        "decisions": decisions.found,
     }
     return Answer(result.youngs_at, seconds, result.log_deviation_at, lumps, notes)
 
@@ -240,8 +292,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except (KeyboardInterrupt, BrokenProcessPool):  # the latter where a worker is killed
         print("Interrupted; the result has the cases up to here.", file=sys.stderr)
     summary = summarize(results)
-    lines += ["", *_describe(summary)]
-    print("\n".join(lines[-len(summary) - 1 :]))
+    further = ["", *_describe(summary), *_decisions(results)]
+    lines += further
+    print("\n".join(further))
     load = meter.share()
     result = {
         "cases": results,
@@ -601,6 +654,19 @@ def _describe(summary: Mapping[str, Any]) -> list[str]:
             text = _list(value) if isinstance(value, dict) else str(value)
             lines.append(f"{key.replace('_', ' ').capitalize()}: {text}")
     return lines
+
+
+def _decisions(results: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return a table of decisions of the full model that differ from those of the reduced one."""
+    rows = [
+        f"| {name} | {text} |"
+        for name, scores in results.items()
+        for text in scores.get("decisions", ())
+    ]
+    if not rows:
+        return []
+    head = "| case | decision otherwise (gain of log-evidence by the reduced and the full model) |"
+    return ["", head, "|---|---|", *rows]
 
 
 def _list(medians: Mapping[str, Any]) -> str:

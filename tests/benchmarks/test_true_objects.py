@@ -1,6 +1,7 @@
 """The benchmark of analytic objects: scores of known answers, truth meshes, and a tiny case."""
 
 import json
+import logging
 from collections.abc import Callable
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -28,7 +29,10 @@ def _score(benchmark: ModuleType, name: str, youngs_at: Callable[..., Any], **an
     return benchmark.score(truth, benchmark.Answer(youngs_at, 1.0, **answer)), body
 
 
-@pytest.mark.parametrize("name", ["ball", "soft_ball", "two_balls", "layers_ball", "dome"])
+@pytest.mark.parametrize(
+    "name",
+    ["ball", "soft_ball", "two_balls", "layers_ball", "dome", "l_shape", "plate", "two_moduli"],
+)
 def test_the_object_itself_scores_as_perfect(benchmark: ModuleType, name: str) -> None:
     import true_cases
 
@@ -41,6 +45,32 @@ def test_the_object_itself_scores_as_perfect(benchmark: ModuleType, name: str) -
     assert scores["position_mm"] == pytest.approx(0.0, abs=1e-9)
     assert scores["size_ratio"] == pytest.approx(1.0)
     assert scores["covered_90_inside"] is None
+
+
+def test_decisions_against_the_reduced_model_are_listed(benchmark: ModuleType) -> None:
+    log, decisions = logging.getLogger("test of decisions"), benchmark.Decisions()
+    log.addHandler(decisions)
+    log.setLevel(logging.DEBUG)
+    log.propagate = False
+    for what, chi2, gain in (("a ball", 1.02, 40.0), ("a ring", 1.05, 16.0), ("smooth", 1.06, 9.0)):
+        log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", what, chi2, gain)
+    for what, chi2, gain in (
+        ("a ball", 1.02, 34.0),
+        ("a ring", 0.99, 117.3),
+        ("smooth", 1.2, -8.0),
+    ):
+        log.info("%s: chi2 %.4g, log-evidence %+.4g", what, chi2, gain)
+    log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", "a ball", 1.0, 4.0)
+    log.info("%s: chi2 %.4g, log-evidence %+.4g", "a ball", 1.0, 5.0)  # as predicted
+    log.info("final fit: chi2 %.4g", 0.98)
+    decisions.finish()
+    log.removeHandler(decisions)
+    assert decisions.found == [
+        "refused: smooth (+9, -8)", "preferred: a ring (+16, +117) to a ball (+40, +34)",
+    ]  # fmt: skip
+    rows = benchmark._decisions({"torus": {"decisions": decisions.found}, "ball": {}})
+    assert rows[-1] == "| torus | preferred: a ring (+16, +117) to a ball (+40, +34) |"
+    assert benchmark._decisions({"ball": {}}) == []
 
 
 def test_a_uniform_map_has_no_contrast(benchmark: ModuleType) -> None:

@@ -2,18 +2,24 @@
 
 import logging
 from dataclasses import replace
+from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from tactorch.errors import CancelledError
 from tactorch.inverse import Settings, find_shapes
+from tactorch.inverse.fields import BALL, Background, ShapeField, ShapePrior
+from tactorch.inverse.fields.tube import RING
 from tactorch.inverse.fit.shapes import Evidence
+from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.draft import DraftShapes
 from tactorch.inverse.search.draft_errors import DraftOptions
-from tactorch.inverse.search.model import gain, noise_weights
+from tactorch.inverse.search.model import Model, Proposal, gain, noise_weights
 from tactorch.inverse.search.problem import ShapeProblem
-from tactorch.inverse.search.proposals import propose
+from tactorch.inverse.search.proposals import _by_kind, propose
+from tactorch.inverse.search.search import _accept
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
@@ -92,3 +98,64 @@ def test_a_session_gives_up_a_ball_that_further_presses_contradict(
     after = DraftShapes(options=options).fit(presses, start=found)
     assert not after.field.families
     assert after.history[0]["model"] == "the model before"
+
+
+def _evidence(value: float) -> Evidence:
+    return Evidence(np.zeros(4), -value)
+
+
+def _proposal(what: str, promise: float, field: ShapeField, **changes: Any) -> Proposal:
+    field = replace(field, **changes)
+    return Proposal(what, field, np.zeros(field.size), {}, _evidence(promise), 3.0, promise)
+
+
+@pytest.fixture
+def model() -> Mock:
+    """A model of one ball in a uniform background."""
+    field = ShapeField(ShapePrior.of(MESH, 0.2), (BALL,))
+    fit = Mock(field=field, residuals=np.zeros(4), complexity=0.0)
+    return Mock(spec=Model, fit=fit, errors={})
+
+
+def test_the_best_of_each_kind_are_tried_first(model: Mock) -> None:
+    field = model.fit.field
+    two = (BALL, BALL)
+    proposals = [
+        _proposal("one place", 40.0, field, families=two),
+        _proposal("another place", 30.0, field, families=two),
+        _proposal("a ring", 20.0, field, families=(RING,)),
+        _proposal("a third place", 15.0, field, families=two),
+        _proposal("smooth", 10.0, field, background=Background(2)),
+    ]
+    order = [proposal.what for proposal in _by_kind(proposals, model)]
+    assert order == ["one place", "a ring", "smooth", "another place", "a third place"]
+
+
+@pytest.mark.parametrize(
+    ("gains", "accepted", "fitted"),
+    [
+        ([34.0, 117.0, 1.0], "second", 3),  # the best by the full model, not the most promising
+        ([34.0, 2.0, 1.0], "first", 3),
+        ([2.0, 1.0, 1.0, 5.0], "fourth", 4),  # promises little, but all before it are refused
+        ([2.0, 1.0, 1.0, 2.0], None, 4),
+    ],
+)
+def test_the_best_proposal_is_accepted(
+    model: Mock, gains: list[float], accepted: str | None, fitted: int
+) -> None:
+    names, promises = ("first", "second", "third", "fourth"), (40.0, 16.0, 9.0, 3.5)
+    pairs = zip(names, promises, gains, strict=False)
+    proposals = [_proposal(name, promise, model.fit.field) for name, promise, _ in pairs]
+    full = dict(zip(names, gains, strict=False))
+    calls: list[str] = []
+
+    def challenge(proposal: Proposal, _: Model, rival: Model | None) -> Mock:
+        calls.append(proposal.what)
+        return Mock(spec=Model, fit=_evidence(full[proposal.what]))
+
+    problem = Mock(spec=SearchProblem, challenge=challenge)
+    problem.gain = lambda fit, rival: rival.complexity - fit.complexity
+    found = _accept(problem, model, proposals)
+    assert calls == list(names[:fitted])
+    assert (found and found[0].what) == accepted
+    assert not proposals
