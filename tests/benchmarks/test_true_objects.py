@@ -56,10 +56,6 @@ def test_decisions_against_the_reduced_model_are_listed(benchmark: ModuleType) -
         log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", what, chi2, gain)
     fits = ("a ball", 1.02, 34.0), ("a ring", 0.99, 117.3), ("smooth", 1.2, -8.0)
     for what, chi2, gain in fits:
-        ("a ball", 1.02, 34.0),
-        ("a ring", 0.99, 117.3),
-        ("smooth", 1.2, -8.0),
-    ):
         log.info("%s: chi2 %.4g, log-evidence %+.4g", what, chi2, gain)
     log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", "a ball", 1.0, 4.0)
     log.info("%s: chi2 %.4g, log-evidence %+.4g", "a ball", 1.0, 5.0)  # as predicted
