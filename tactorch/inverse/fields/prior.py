@@ -7,6 +7,10 @@ from jaxtyping import Float
 
 from tactorch.mesh import TetMesh
 
+# Standard deviation of the length outside the bounding box, over the size of the body. A faint
+# inclusion beyond it would act as a background that varies.
+_OUTSIDE = 0.1
+
 
 @dataclass(frozen=True, eq=False)
 class ShapePrior:
@@ -36,4 +40,5 @@ class ShapePrior:
     def of(mesh: TetMesh, background_mpa: float) -> "ShapePrior":
         """Return the prior for a body whose best uniform modulus is given."""
         low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
-        return ShapePrior(low, high, float(np.cbrt(mesh.volumes.sum())), np.log(background_mpa))
+        size = float(np.cbrt(mesh.volumes.sum()))
+        return ShapePrior(low, high, size, np.log(background_mpa), outside_mm=_OUTSIDE * size)
