@@ -404,9 +404,9 @@ def test_ctrl_c_ends_a_search_with_the_last_accepted_model(uniform_recording, mo
 def test_a_time_limit_ends_a_search_with_the_last_accepted_model(recording, monkeypatch):
     challenge, clock = ShapeProblem.challenge, SimpleNamespace(now=0.0)
 
-    def late(self, *arguments):
+    def late(self, *arguments, **named):
         clock.now = 100.0
-        return challenge(self, *arguments)
+        return challenge(self, *arguments, **named)
 
     monkeypatch.setattr(ShapeProblem, "challenge", late)
     times = SimpleNamespace(monotonic=lambda: clock.now)

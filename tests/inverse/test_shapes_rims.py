@@ -209,6 +209,7 @@ def test_the_result_states_the_deviation_at_rims(presses, uniform, tmp_path):
     assert tactorch.load(tmp_path / "shapes.json").rim_deviation == 0.2
     del plain["errors"]  # as in files of earlier versions
     plain["force_deviation"] = 0.05
+    plain["prior"]["outside_mm"] = None
     assert ShapeReconstruction.of(plain).errors == {"forces": 0.05}
     plain |= {"pose_deviation": 0.001, "rim_deviation": 0.1}
     assert ShapeReconstruction.of(plain).errors == {"forces": 0.05, "pose": 0.001, "rims": 0.1}

@@ -102,7 +102,9 @@ def test_a_rod_starts_as_an_ellipsoid_of_its_length_and_width() -> None:
 def test_inclusions_are_kept_in_the_object() -> None:
     mesh = box_mesh((60.0, 40.0, 20.0), (6, 4, 2), tets_per_cell=5)
     low, high = mesh.bounds
-    prior = replace(ShapePrior.of(mesh, 0.1), outside_mm=2.0)
+    prior = ShapePrior.of(mesh, 0.1)
+    assert prior.outside_mm == pytest.approx(0.1 * np.cbrt(60.0 * 40.0 * 20.0))
+    prior = replace(prior, outside_mm=2.0)
     field = ShapeField(prior, (ELLIPSOID, BALL))
     # An ellipsoid of 14 x 3.5 x 3.5 mm along z, 1 mm above the middle, and a ball that touches y+.
     middle = 0.5 * (low + high)
