@@ -47,6 +47,18 @@ def first_inversion() -> None:
     save_figure(once.plot(), OUT / "presses.png", dpi=55)
 
 
+def ring() -> None:
+    """The torus of the paper in a cube: slices of what is found, and of the truth."""
+    phantom = make_phantom("cube_torus")
+    recording = simulate(
+        phantom, PressPlan(("z+", "x+", "y+"), p_max_mpa=0.02, steps=4), mesh=phantom.mesh(1.4),
+        fine_mesh=phantom.mesh(0.9, conforming=True), element="tet10", snr_db=40,
+    )  # fmt: skip
+    result = invert(recording)
+    print(result.summary())
+    save_figure(result.plot(truth=recording.truth), OUT / "ring.png", dpi=60)
+
+
 def palpation() -> None:
     """Forces on a ball at many places of a block with a nodule."""
     lump, radius = np.array([3.0, -2.0, -4.0]), 3.0
@@ -89,5 +101,6 @@ def bodies() -> None:
 if __name__ == "__main__":
     OUT.mkdir(exist_ok=True)
     first_inversion()
+    ring()
     palpation()
     bodies()

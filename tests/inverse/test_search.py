@@ -16,9 +16,9 @@ from tactorch.inverse.fit.shapes import Evidence
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.draft import DraftShapes
 from tactorch.inverse.search.draft_errors import DraftOptions
-from tactorch.inverse.search.model import Model, Proposal, gain, noise_weights
+from tactorch.inverse.search.model import Model, Proposal, Start, gain, noise_weights
 from tactorch.inverse.search.problem import ShapeProblem
-from tactorch.inverse.search.proposals import _by_kind, propose
+from tactorch.inverse.search.proposals import _by_kind, _kind, propose
 from tactorch.inverse.search.search import _accept
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
@@ -104,9 +104,10 @@ def _evidence(value: float) -> Evidence:
     return Evidence(np.zeros(4), -value)
 
 
-def _proposal(what: str, promise: float, field: ShapeField, **changes: Any) -> Proposal:
-    field = replace(field, **changes)
-    return Proposal(what, field, np.zeros(field.size), {}, _evidence(promise), 3.0, promise)
+def _proposal(what: str, promise: float, model: Mock, **changes: Any) -> Proposal:
+    field = replace(model.fit.field, **changes)
+    start = Start(what, field, np.zeros(field.size), {})
+    return Proposal(*vars(start).values(), _evidence(promise), 3.0, promise, _kind(start, model))
 
 
 @pytest.fixture
@@ -118,44 +119,51 @@ def model() -> Mock:
 
 
 def test_the_best_of_each_kind_are_tried_first(model: Mock) -> None:
-    field = model.fit.field
     two = (BALL, BALL)
     proposals = [
-        _proposal("one place", 40.0, field, families=two),
-        _proposal("another place", 30.0, field, families=two),
-        _proposal("a ring", 20.0, field, families=(RING,)),
-        _proposal("a third place", 15.0, field, families=two),
-        _proposal("smooth", 10.0, field, background=Background(2)),
+        _proposal("one place", 40.0, model, families=two),
+        _proposal("another place", 30.0, model, families=two),
+        _proposal("a ring", 20.0, model, families=(RING,)),
+        _proposal("a third place", 15.0, model, families=two),
+        _proposal("smooth", 10.0, model, background=Background(2)),
     ]
-    order = [proposal.what for proposal in _by_kind(proposals, model)]
+    order = [proposal.what for proposal in _by_kind(proposals)]
     assert order == ["one place", "a ring", "smooth", "another place", "a third place"]
 
 
 @pytest.mark.parametrize(
-    ("gains", "accepted", "fitted"),
+    ("gains", "share", "accepted", "fitted"),
     [
-        ([34.0, 117.0, 1.0], "second", 3),  # the best by the full model, not the most promising
-        ([34.0, 2.0, 1.0], "first", 3),
-        ([2.0, 1.0, 1.0, 5.0], "fourth", 4),  # promises little, but all before it are refused
-        ([2.0, 1.0, 1.0, 2.0], None, 4),
+        # The best by the full model, not the most promising; another place is not fitted.
+        ([34.0, 117.0, 50.0, 5.0], 0.1, "ring", ["ball", "ring"]),
+        ([34.0, 2.0, 50.0, 5.0], 0.1, "ball", ["ball", "ring"]),
+        ([2.0, 1.0, 50.0, 5.0], 0.1, "place", ["ball", "ring", "place"]),
+        # One that promises little is fitted where all before it are refused.
+        ([2.0, 1.0, 1.0, 5.0], 0.1, "smooth", ["ball", "ring", "place", "smooth"]),
+        ([2.0, 1.0, 1.0, 2.0], 0.1, None, ["ball", "ring", "place", "smooth"]),
+        ([34.0, 117.0, 50.0, 5.0], 1.0, "ball", ["ball"]),  # the first is accepted
     ],
 )
 def test_the_best_proposal_is_accepted(
-    model: Mock, gains: list[float], accepted: str | None, fitted: int
+    model: Mock, gains: list[float], share: float, accepted: str | None, fitted: list[str]
 ) -> None:
-    names, promises = ("first", "second", "third", "fourth"), (40.0, 16.0, 9.0, 3.5)
-    pairs = zip(names, promises, gains, strict=False)
-    proposals = [_proposal(name, promise, model.fit.field) for name, promise, _ in pairs]
-    full = dict(zip(names, gains, strict=False))
+    two = (BALL, BALL)
+    proposals = [
+        _proposal("ball", 40.0, model, families=two),
+        _proposal("ring", 16.0, model, families=(RING,)),
+        _proposal("place", 12.0, model, families=two),
+        _proposal("smooth", 3.5, model, background=Background(2)),
+    ]
+    full = dict(zip([proposal.what for proposal in proposals], gains, strict=True))
     calls: list[str] = []
 
     def challenge(proposal: Proposal, _: Model, rival: Model | None) -> Mock:
         calls.append(proposal.what)
         return Mock(spec=Model, fit=_evidence(full[proposal.what]))
 
-    problem = Mock(spec=SearchProblem, challenge=challenge)
+    problem = Mock(spec=SearchProblem, challenge=challenge, rival_share=share)
     problem.gain = lambda fit, rival: rival.complexity - fit.complexity
     found = _accept(problem, model, proposals)
-    assert calls == list(names[:fitted])
+    assert calls == fitted
     assert (found and found[0].what) == accepted
     assert not proposals

@@ -64,6 +64,8 @@ class SearchProblem(ABC):
         forms: Families as which inclusions are tried that are no balls.
         max_shapes: Largest number of inclusions.
         max_fits: Largest number of proposals from one model that are fitted with `full`.
+        rival_share: Part of the gain that the best proposal promises, beyond which one of another
+            kind is compared with it; one where the first that has enough evidence is accepted.
         tolerance: Of fits, see `fit_shapes`.
         final_tolerance: Of the last fit.
         trial_share: Part of the least gain that a trial with the reduced model has to promise.
@@ -79,6 +81,7 @@ class SearchProblem(ABC):
     proposals: Sequence[Proposals]
     forms: Sequence[str] = ()
     max_fits: ClassVar[int] = 4
+    rival_share: ClassVar[float] = 0.1
     tolerance: float = ROUGH
     final_tolerance: ClassVar[float] = FINE
     trial_share: ClassVar[float] = 1.0

@@ -44,7 +44,7 @@ class _Presses(SearchProblem):
     """The presses of one search, see `SearchProblem`; errors of their data are known."""
 
     proposals = (further, removed)
-    tolerance = 0.2
+    rival_share, tolerance = 1.0, 0.2
 
     def __init__(
         self,

@@ -69,11 +69,14 @@ class Proposal(Start):
         trial: The evidence.
         least_gain: Gain of log-evidence for which it is accepted.
         promise: Gain of the trial at the noise that the present model would need.
+        kind: What it changes of the present model: number of inclusions, families, background, and
+            errors.
     """
 
     trial: Evidence
     least_gain: float = 0.0
     promise: float = 0.0
+    kind: tuple[bool, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,7 +61,7 @@ class PalpationSearch(SearchProblem):
 
     full: PalpationProblem
     proposals = (other_errors, further, backgrounds, changed)
-    max_fits, trial_share, final_tolerance = 5, _SHARE, _TOLERANCE
+    max_fits, rival_share, trial_share, final_tolerance = 5, 1.0, _SHARE, _TOLERANCE
 
     def __init__(
         self,

@@ -64,23 +64,30 @@ def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
         _log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", what, chi2, gain)
         if gain > problem.trial_share * least:
             promise = weighted_gain(proposal.trial, fit, weights)
-            better.append(replace(proposal, least_gain=least, promise=promise))
-    return _by_kind(sorted(better, key=lambda p: -p.promise), model)
+            kind = _kind(proposal, model)
+            better.append(replace(proposal, least_gain=least, promise=promise, kind=kind))
+    return _by_kind(sorted(better, key=lambda p: -p.promise))
 
 
-def _by_kind(proposals: Sequence[Proposal], model: Model) -> list[Proposal]:
+def _kind(other: Start, model: Model) -> tuple[bool, ...]:
+    """Return `Proposal.kind`."""
+    field = model.fit.field
+    adds = len(other.field.families) > len(field.families)
+    changes = other.field.families != field.families, other.field.background != field.background
+    return adds, *changes, other.errors != model.errors
+
+
+def _by_kind(proposals: Sequence[Proposal]) -> list[Proposal]:
     """Return the best proposal of each kind first, then the second best ones.
 
     The reduced model compares proposals of one kind, such as two places of a further inclusion,
     better than those of two kinds, such as a further inclusion and another form.
     """
-    field, ranks, seen = model.fit.field, list[int](), Counter[tuple[bool, ...]]()
-    for other in proposals:
-        adds = len(other.field.families) > len(field.families)
-        changes = other.field.families != field.families, other.field.background != field.background
-        kind = (adds, *changes, other.errors != model.errors)
-        ranks.append(seen[kind])
-        seen[kind] += 1
+    seen = Counter[tuple[bool, ...]]()
+    ranks = []
+    for proposal in proposals:
+        ranks.append(seen[proposal.kind])
+        seen[proposal.kind] += 1
     return [proposals[k] for k in np.argsort(ranks, kind="stable")]
 
 

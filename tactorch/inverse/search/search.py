@@ -46,7 +46,6 @@ _log = logging.getLogger(__name__)
 _QUICK_PLACES, _FIRST_PLACES = 128, 384
 _MAX_SHAPES = 4
 _MAX_MODELS = 10  # one after the other
-_MUCH_LESS = 0.1  # of the gain that the best proposal promises
 _MANY = 10.0  # contrast beyond which a provisional answer states none
 
 
@@ -261,24 +260,34 @@ def _accept(
 ) -> tuple[Proposal, Model] | None:
     """Return the proposal of most evidence by the full model, if that is more than the model's.
 
-    Proposals that promise much less than the best one are fitted only where those before them are
-    refused. Those that were fitted are removed from the list.
+    Once there is one, only the first of each other kind are fitted that do not promise much less
+    than the best. Those that were fitted are removed from the list.
     """
     best: tuple[Proposal, Model] | None = None
-    most = max((proposal.promise for proposal in untried), default=0.0)
-    while untried and (best is None or untried[0].promise > _MUCH_LESS * most):
+    least = problem.rival_share * max((proposal.promise for proposal in untried), default=0.0)
+    kinds = set[tuple[bool, ...]]()
+    while untried:
         proposal = untried[0]
-        with suppress(ConvergenceError), progress_line(proposal.what):
-            trial = problem.challenge(proposal, model, rival=best and best[1])
-            change = problem.gain(trial.fit, model.fit)
-            _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)
-            is_better = best is None or problem.gain(trial.fit, best[1].fit) > 0.0
-            if change > proposal.least_gain and is_better:
-                best = proposal, trial
+        if best is None or (proposal.promise > least and proposal.kind not in kinds):
+            kinds.add(proposal.kind)
+            trial = _challenge(problem, proposal, model, best and best[1])
+            best = best if trial is None else (proposal, trial)
         del untried[0]
-    if best is not None:
-        untried.clear()
     return best
+
+
+def _challenge(
+    problem: SearchProblem, proposal: Proposal, model: Model, rival: Model | None
+) -> Model | None:
+    """Return a proposal fitted with the full model; None without enough evidence."""
+    with suppress(ConvergenceError), progress_line(proposal.what):
+        trial = problem.challenge(proposal, model, rival=rival)
+        change = problem.gain(trial.fit, model.fit)
+        _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)
+        is_better = rival is None or problem.gain(trial.fit, rival.fit) > 0.0
+        if change > proposal.least_gain and is_better:
+            return trial
+    return None
 
 
 def _log_odds(problem: SearchProblem, model: Model) -> tuple[tuple[float, ...], float]:
