@@ -30,7 +30,7 @@ from tactorch.inverse.search.model import (
     with_ball,
 )
 
-_TRIAL_STEPS = 20  # of Gauss-Newton with the reduced model
+_QUICK_STEPS = 8  # of Gauss-Newton, for a provisional answer
 _QUICK_STARTS = 2  # fits of an inclusion for a provisional answer
 # Tolerances of fits: within one standard deviation of the optimum, and a sixth of the gain by which
 # models are accepted; and within a fifth of a standard deviation, for the last fit.
@@ -68,6 +68,7 @@ class SearchProblem(ABC):
             kind is compared with it; one where the first that has enough evidence is accepted.
         tolerance: Of fits, see `fit_shapes`.
         final_tolerance: Of the last fit.
+        trial_steps: Largest number of Gauss-Newton steps of a trial with the reduced model.
         trial_share: Part of the least gain that a trial with the reduced model has to promise.
         min_gain: Gain of log-evidence by which a model is accepted.
     """
@@ -84,6 +85,7 @@ class SearchProblem(ABC):
     rival_share: ClassVar[float] = 0.1
     tolerance: float = ROUGH
     final_tolerance: ClassVar[float] = FINE
+    trial_steps: ClassVar[int] = 8
     trial_share: ClassVar[float] = 1.0
     min_gain: float = MIN_GAIN
     _reduced_sites: Sites
@@ -106,7 +108,7 @@ class SearchProblem(ABC):
 
         def fitted(field: ShapeField, z: Float[np.ndarray, " size"]) -> ShapeFit:
             return fit_shapes(
-                problem, field, z, sites=self._reduced_sites, max_iterations=_TRIAL_STEPS,
+                problem, field, z, sites=self._reduced_sites, max_iterations=_QUICK_STEPS,
                 give_up=self._never,
             )[0]  # fmt: skip
 
@@ -245,7 +247,7 @@ class SearchProblem(ABC):
         problem = self.reduced.with_data(self.data(start.errors).shifted(offsets))
         fit, _ = fit_shapes(
             problem, start.field, start.z, sites=self._reduced_sites,
-            max_iterations=_TRIAL_STEPS, tolerance=FINE, give_up=self._never,
+            max_iterations=self.trial_steps, tolerance=FINE, give_up=self._never,
         )  # fmt: skip
         return Evidence(fit.residuals, fit.complexity), fit.z
 

@@ -60,6 +60,7 @@ class ShapeProblem(SearchProblem):
         other_errors, further, backgrounds, layers, uniform_background, removed, changed, joined,
     )  # fmt: skip
     forms = "ellipsoid", "cuboid", "rod", "tapered rod", "bent rod", "ring"
+    trial_steps = 20  # a form starts far from its best fit
 
     def __init__(
         self,
