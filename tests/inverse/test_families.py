@@ -205,3 +205,18 @@ def test_a_family_resembles_points_of_its_own(name):
     assert 2.0 * (one & other).sum() / (one.sum() + other.sum()) > 0.85
     assert like.contrast == pytest.approx(shape.contrast)
     assert like.radius_mm == pytest.approx(2.2)
+
+
+@pytest.mark.parametrize("name", ["rod", "tapered rod", "bent rod", "ring"])
+def test_tubes_have_a_radius_and_its_derivatives_all_over_the_prior(name):
+    family, rng = FAMILIES[name], np.random.default_rng(0)
+    field = ShapeField(PRIOR, (family,))
+    places = field.parts[0].start + np.array([3, *range(5, len(family.parameters))])
+    for z in np.clip(2.0 * rng.standard_normal((100, field.size)), -4.0, 4.0):
+        values = field.physical(z)
+        radius, by_size, by_vectors = family._radius(field.own(values, 0))
+        assert 0.0 < radius < 2.0 * np.exp(field.own(values, 0).log_radius)
+        for place, slope in zip(places, [by_size, *by_vectors], strict=True):
+            step = 1e-6 * np.eye(field.size)[place]
+            ends = [family._radius(field.own(values + sign * step, 0))[0] for sign in (-1, 1)]
+            assert slope == pytest.approx((ends[1] - ends[0]) / 2e-6, rel=1e-4, abs=1e-6)

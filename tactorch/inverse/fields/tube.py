@@ -36,7 +36,9 @@ _TAPER, _MAX_TAPER = 0.6, 0.8  # standard deviation, and the largest hyperbolic 
 # Length that a ring has beside that of its circle, over the radius of the ball of its volume: the
 # radius of the tube remains finite where the circle shrinks to a point.
 _RING_LENGTH = 0.5
-_STEPS = 30  # of Newton's method for the radius of a tube
+# Of Newton's method for the radius of a tube: largest number of steps, and last relative step.
+_STEPS, _CLOSE = 30, 1e-14
+_COMPLEX = 1e-30  # imaginary step, for derivatives
 _TINY = 1e-12  # mm2, for directions at zero
 
 Points = Float[np.ndarray, "n 3"]
@@ -250,10 +252,8 @@ class TubeFamily(Family):
         The volumes of tube and ball, over that of the unit ball, are a^2 L 3/4 + a^3 = R^3.
         """
         total, by_vectors = self.length(own)
-        ball = radius = float(np.exp(own.log_radius))
-        for _ in range(_STEPS):  # from above, where the volume is convex
-            excess = 0.75 * total * radius**2 + radius**3 - ball**3
-            radius -= excess / (1.5 * total * radius + 3.0 * radius**2)
+        ball = float(np.exp(own.log_radius))
+        radius = _solved(lambda a: 0.75 * total * a**2 + a**3, ball)
         slope = 1.5 * total * radius + 3.0 * radius**2
         return radius, 3.0 * ball**3 / slope, -0.75 * radius**2 / slope * by_vectors
 
@@ -371,11 +371,8 @@ class TaperedRodFamily(RodFamily):
     def _sizes(self, own: Parameters) -> tuple[float, float, float, float]:
         """Return the radius at the centre, half the length, the taper, and the ball's radius."""
         size, taper = float(length(own.distortions[:3])), float(np.tanh(own.distortions[3]))
-        ball = radius = float(np.exp(own.log_radius))
-        for _ in range(_STEPS):
-            excess = float(_volume(radius, size, taper).real) - ball**3
-            radius -= excess / _gradient(_volume, radius, size, taper)[0]
-        return radius, size, taper, ball
+        ball = float(np.exp(own.log_radius))
+        return _solved(lambda a: _volume(a, size, taper), ball), size, taper, ball
 
 
 class BentRodFamily(RodFamily):
@@ -387,18 +384,14 @@ class BentRodFamily(RodFamily):
     def curve(self, own: Parameters) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 k"]]:
         half, bend = own.distortions.reshape(2, 3)
         t = np.linspace(-1.0, 1.0, _SEGMENTS + 1)
+        f = t**2 - 1.0 / 3.0
         square, part = float(half @ half) + _TINY, float(half @ bend)
         across = np.eye(3) - np.outer(half, half) / square
         by_half = -np.outer(half, bend) / square - part / square * np.eye(3)
         by_half += 2.0 * part / square**2 * np.outer(half, half)
-        slopes = np.concatenate(
-            [
-                t[:, None, None] * np.eye(3) + (t**2 - 1.0 / 3.0)[:, None, None] * by_half,
-                (t**2 - 1.0 / 3.0)[:, None, None] * across,
-            ],
-            axis=2,
-        )
-        return np.outer(t, half) + np.outer(t**2 - 1.0 / 3.0, across @ bend), slopes
+        slopes = np.multiply.outer(t, np.eye(3)) + np.multiply.outer(f, by_half)
+        slopes = np.concatenate([slopes, np.multiply.outer(f, across)], axis=2)
+        return np.outer(t, half) + np.outer(f, across @ bend), slopes
 
     def vectors_of(self, cloud: Cloud) -> Float[np.ndarray, "vectors 3"]:
         """Return the vectors of the parabola through the points."""
@@ -474,8 +467,23 @@ def _volume(radius: complex, size: complex, taper: complex) -> complex:
 
 def _gradient(function: Callable[..., complex], *at: float) -> list[float]:
     """Return the derivatives of an analytic function by complex steps."""
-    steps = 1e-30j * np.eye(len(at))
-    return [float(function(*(np.array(at) + step)).imag) / 1e-30 for step in steps]
+    steps = _COMPLEX * 1j * np.eye(len(at))
+    return [float(function(*(np.array(at) + step)).imag) / _COMPLEX for step in steps]
+
+
+def _solved(volume: Callable[[complex], complex], ball: float) -> float:
+    """Return the radius of a tube (mm) of the volume of a ball, by Newton's method from above.
+
+    `volume` is an analytic function of the radius, over that of the unit ball.
+    """
+    radius = ball
+    for _ in range(_STEPS):
+        value = volume(radius + _COMPLEX * 1j)
+        step = float(value.real - ball**3) / float(value.imag / _COMPLEX)
+        radius -= step
+        if abs(step) < _CLOSE * radius:
+            break
+    return radius
 
 
 ROD, TAPERED_ROD, BENT_ROD = RodFamily(), TaperedRodFamily(), BentRodFamily()
