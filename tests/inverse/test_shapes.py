@@ -145,7 +145,7 @@ def test_a_smooth_background_varies_by_its_modes():
     values = np.zeros(10)
     values[0] = np.log(0.2)
     points = np.random.default_rng(0).uniform(0.0, 10.0, (20, 3))
-    modes = field.background.derivative(PRIOR, points)[:, 1:]
+    modes = field.background.jacobian(PRIOR, values, Sites.at(points))[:, 1:]
     for k in range(1, 10):
         values[k] = 0.3
         expected = np.log(0.2) + 0.3 * modes[:, k - 1]
@@ -154,9 +154,8 @@ def test_a_smooth_background_varies_by_its_modes():
         shared = np.tile(values, (len(points), 1))
         np.testing.assert_allclose(field.log_background(shared, points), expected)
         values[k] = 0.0
-    along_z = field.background.derivative(PRIOR, np.array([[5.0, 5.0, 0.0], [5.0, 5.0, 10.0]]))[
-        :, 1:
-    ]
+    ends = Sites.at(np.array([[5.0, 5.0, 0.0], [5.0, 5.0, 10.0]]))
+    along_z = field.background.jacobian(PRIOR, values, ends)[:, 1:]
     assert np.any(np.isclose(along_z[0], 1.0) & np.isclose(along_z[1], -1.0))
 
 
@@ -182,28 +181,83 @@ def test_a_smooth_background_of_an_earlier_version_is_refused():
     assert ShapeField.of(plain).background.degree == 0
 
 
-def test_layers_are_modes_along_one_axis():
-    layered = ShapeField(PRIOR, (), Background(layers=(0, 0, 3)))
-    np.testing.assert_array_equal(layered.background.waves, [[0, 0, 1], [0, 0, 2], [0, 0, 3]])
-    both = ShapeField(PRIOR, (), Background(degree=2, layers=(0, 0, 3)))
-    assert both.n_background == 1 + 9 + 3
-    np.testing.assert_array_equal(both.background.waves[9:], layered.background.waves)
-    assert ShapeField.of(json.loads(json.dumps(both.plain()))).background.layers == (0, 0, 3)
-    plain = both.plain()
-    del plain["layers"]  # as in files of earlier versions
-    assert ShapeField.of(plain).background.layers == (0, 0, 0)
+def test_a_background_has_steps_at_planes():
+    background = Background(degree=2, steps=("z-", "x+", "z-"))
+    assert len(set(background.parameters)) == background.step_at(2).stop == 1 + 9 + 6
+    field = ShapeField(PRIOR, (), Background(steps=("z-", "x+", "z-")))
+    values = np.array([np.log(0.2), 4.0, 0.5, 7.0, -0.3, 2.0, 1.0])
+    points = np.random.default_rng(0).uniform(0.0, 10.0, (200, 3))
+    x, _, z = points.T
+    expected = np.log(0.2) + 0.5 * (z < 4.0) - 0.3 * (x > 7.0) + 1.0 * (z < 2.0)
+    found = field.log_youngs(field.standard(values), Sites.at(points))
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    places = np.tile(values, (200, 1))
+    places[:, 1] = z + np.where(np.arange(200) % 2, 0.1, -0.1)  # of each draw its own
+    draws = field.log_background(places, points)
+    np.testing.assert_allclose(draws - expected + 0.5 * (z < 4.0), 0.5 * (np.arange(200) % 2))
+
+
+def test_files_hold_the_steps_of_a_background():
+    field = ShapeField(PRIOR, (), Background(degree=2, steps=("z-", "x+")))
+    assert ShapeField.of(json.loads(json.dumps(field.plain()))).background == field.background
+    plain = field.plain()
+    del plain["steps"]  # as in files of earlier versions
+    assert ShapeField.of(plain).background.steps == ()
+    with pytest.raises(ConfigError, match="earlier version"):
+        ShapeField.of(plain | {"layers": [0, 0, 3]})
+
+
+def test_derivatives_of_steps_are_those_of_the_modulus(sites):
+    field = ShapeField(PRIOR, (BALL,), Background(degree=1, steps=("z-", "x+")))
+    steps = [4.1, 0.5, 7.2, -0.3]
+    own = [np.log(0.2), 0.1, 0.2, -0.1, *steps, *VALUES["ball"][1:]]
+    z = field.standard(np.array(own))
+    assert_derivatives(field, z, sites)
+
+
+OVERLAPPING = [*VALUES["ball"][1:], 6.2, 5.1, 5.3, np.log(2.0), 1.0]
+
+
+def assert_derivatives(field, z, sites):
+    jacobian = field.jacobian(z, sites)
+    assert np.abs(jacobian).max(axis=0).min() > 1e-2  # else the test shows nothing
+    for k, step in enumerate(1e-5 * np.eye(field.size)):
+        slope = (field.log_youngs(z + step, sites) - field.log_youngs(z - step, sites)) / 2e-5
+        np.testing.assert_allclose(jacobian[:, k], slope, atol=1e-6)
+
+
+@pytest.mark.parametrize("contrasts", [(1.2, 1.0), (0.7, 1.0), (-0.5, -0.8), (1.2, -0.6)])
+def test_derivatives_where_inclusions_overlap(sites, contrasts):
+    field, own = ShapeField(PRIOR, (BALL, BALL)), np.array([np.log(0.2), *OVERLAPPING])
+    own[[5, 10]] = contrasts
+    assert_derivatives(field, field.standard(own), sites)
+
+
+def test_inclusions_that_overlap_are_not_stiffer_than_the_stiffer_one():
+    field, own = ShapeField(PRIOR, (BALL, BALL)), np.array([np.log(0.2), *OVERLAPPING])
+    middle = Sites.at(np.array([[5.6, 4.85, 5.5]]))
+
+    def contrast(*logs: float) -> float:
+        own[[5, 10]] = logs
+        (mean,) = field.mean_youngs(field.standard(own), middle)
+        (log,) = field.log_youngs(field.standard(own), middle)
+        assert np.log(mean) == pytest.approx(log)
+        return log - np.log(0.2)
+
+    assert contrast(1.2, 1.0) == contrast(1.0, 1.2) == pytest.approx(1.2)
+    assert contrast(-0.5, -0.8) == pytest.approx(-0.8)
+    assert contrast(1.2, -0.5) == pytest.approx(0.7)
 
 
 def test_models_are_changed_without_a_change_of_what_remains():
     """Modes and ellipsoids that are added start at the same map; removals leave the others."""
-    field = ShapeField(PRIOR, (ELLIPSOID, BALL), Background(layers=(0, 0, 3)))
+    field = ShapeField(PRIOR, (ELLIPSOID, BALL), Background(steps=("z-", "x+")))
     rng = np.random.default_rng(0)
     z = 0.3 * rng.standard_normal(field.size)
     sites = Sites.at(rng.uniform(0.0, 10.0, (200, 3)))
     before = field.log_youngs(z, sites)
     for other, same in (
         varied(field, z, degree=2),
-        varied(field, z, layers=(4, 0, 8)),
         with_family(field, z, 1, ELLIPSOID),
     ):
         assert other.size > field.size
@@ -480,7 +534,7 @@ def test_layers_are_no_inclusions():
     recording = simulate(phantom, PLAN, mesh=MESH, fine_mesh=fine, element="tet10", snr_db=40.0)
     result = find_shapes(recording, max_shapes=2)
     assert result.inclusions == []
-    assert result.field.background.layers == (0, 0, 8)
+    assert {side[0] for side in result.field.background.steps} == {"z"}
     heights = np.linspace(0.3, 9.7, 50)
     points = np.column_stack([np.full((50, 2), 5.0), heights])
     assert np.corrcoef(result.youngs_at(points), phantom.youngs_at(points))[0, 1] > 0.9

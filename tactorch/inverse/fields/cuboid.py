@@ -65,7 +65,7 @@ class CuboidFamily(Family):
 
     name = judged_as = "cuboid"
     noun, distortions = "a cuboid", ("x-y", "xy-z", "turn x", "turn y", "turn z")
-    shape_type, reach = CuboidShape, np.sqrt(3.0)
+    shape_type = CuboidShape
 
     def scale(self, prior: ShapePrior) -> tuple[list[float], list[float]]:
         mean, deviation = super().scale(prior)

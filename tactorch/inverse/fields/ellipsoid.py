@@ -58,6 +58,13 @@ class EllipsoidFamily(Family):
         level = length(unit)
         return (level - 1.0) * level / length(unit @ inverse)
 
+    def least_distance(
+        self, own: Parameters, points: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, " n"]:
+        stretch = self.log_stretch(own)
+        unit = (points - own.center) @ expm(-stretch)
+        return (length(unit) - 1.0) * float(np.exp(np.linalg.eigvalsh(stretch)[0]))
+
     def distance_derivative(self, own: Parameters, points: Samples) -> tuple[Distances, Slopes]:
         offset, stretch = points - own.center, self.log_stretch(own)
         inverse = expm(-stretch)

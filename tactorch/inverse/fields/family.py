@@ -70,7 +70,6 @@ class Family(ABC):
         distortions: Names of the parameters beside those that all inclusions have; the first are
             of `DISTORTIONS`.
         shape_type: The body that is stretched.
-        reach: Radius of the ball around the body of semi-axes of one.
         special: Names of families that a search tries as this one, from the same values of the
             parameters that both have.
         judged_as: Name of the family by which the posterior is computed: the data that make a ball
@@ -81,7 +80,6 @@ class Family(ABC):
     noun: str
     distortions: tuple[str, ...] = ()
     shape_type: type[InclusionShape] = InclusionShape
-    reach: float = 1.0
     special: tuple[str, ...] = ()
     judged_as: str
 
@@ -128,26 +126,31 @@ class Family(ABC):
         stretches = own.distortions[: len(self.basis)]
         return own.log_radius * np.eye(3) + np.tensordot(stretches, self.basis, 1)
 
-    def log_change(
+    def fractions(
         self, own: Parameters, sites: Sites
     ) -> tuple[Int[np.ndarray, " near"], Float[np.ndarray, " near"]]:
-        """Return the volumes that the inclusion may touch, and the change of their log-moduli."""
-        near = self._near(own, sites)
-        fraction = self.fraction(own, sites.points[near], sites.width[near])
-        return near, own.log_contrast * fraction
+        """Return the volumes that the inclusion may touch, and the fraction of each inside."""
+        near, border = self._near(own, sites)
+        inside, at = np.ones(len(near)), near[border]
+        inside[border] = self.fraction(own, sites.points[at], sites.width[at])
+        return near, inside
 
-    def log_change_derivative(
+    def fraction_derivative(
         self, own: Parameters, sites: Sites
-    ) -> tuple[Int[np.ndarray, " near"], Float[np.ndarray, "near parameters"]]:
-        """Return the volumes of `log_change`, and its derivatives there by the parameters."""
-        near = self._near(own, sites)
-        points, width = sites.points[near], sites.width[near]
+    ) -> tuple[
+        Int[np.ndarray, " near"], Float[np.ndarray, " near"], Float[np.ndarray, "near parameters"]
+    ]:
+        """Return `fractions`, and their derivatives by the parameters but the log-contrast."""
+        near, border = self._near(own, sites)
+        fractions, columns = np.ones(len(near)), np.zeros((len(near), len(self.parameters) - 1))
+        points, width = sites.points[near[border]], sites.width[near[border]]
         distance, slopes = self.distance_derivative(own, points)
         slopes += self._shift_derivative(own, width)[:, :, None]
         inside = self._inside(own, distance, width)
         weights = inside * (1.0 - inside) * (-2.0 / width / points.shape[1])[:, None]
-        columns = own.log_contrast * np.einsum("vs,kvs->vk", weights, slopes)
-        return near, np.insert(columns, COMMON.index("log_contrast"), inside.mean(axis=1), axis=1)
+        fractions[border] = inside.mean(axis=1)
+        columns[border] = np.einsum("vs,kvs->vk", weights, slopes)
+        return near, fractions, columns
 
     def fraction(self, own: Parameters, points: Samples, width: Widths) -> Widths:
         """Return the fraction of each volume inside, by its sample points (mm).
@@ -181,22 +184,19 @@ class Family(ABC):
         slopes[len(CENTER)] = -self._shift(own, width)
         return slopes
 
-    def _near(self, own: Parameters, sites: Sites) -> Int[np.ndarray, " near"]:
-        """Return the indices of the volumes that may touch an inclusion."""
-        shape, margin = self.shape(own), 4.0 * sites.width
-        longest, _, shortest = shape.semi_axes_mm
-        reach = self.reach * longest + margin
-        apart = np.linalg.norm(sites.centers - own.center, axis=1)
-        near = np.flatnonzero(apart < reach + sites.radii)
-        apart = np.linalg.norm(sites.points[near] - own.center, axis=2).min(axis=1)
-        near = near[apart < reach[near]]
-        if self.reach * longest > shortest:
-            # The distance is at least that to the unit shape times the shortest semi-axis.
-            points = sites.points[near]
-            level = shape.unit.signed_distance(shape.relative(points.reshape(-1, 3)))
-            closest = level.reshape(points.shape[:2]).min(axis=1)
-            near = near[closest * shortest < margin[near]]
-        return near
+    def least_distance(
+        self, own: Parameters, points: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, " n"]:
+        """Return a distance of points (mm) to the boundary that is not exceeded, with its sign."""
+        return self.distance(own, points[:, None])[:, 0]
+
+    def _near(
+        self, own: Parameters, sites: Sites
+    ) -> tuple[Int[np.ndarray, " near"], Int[np.ndarray, " border"]]:
+        """Return the volumes that an inclusion may touch, and which of these its boundary may."""
+        distance, margin = self.least_distance(own, sites.centers), 4.0 * sites.width + sites.radii
+        near = np.flatnonzero(distance < margin)
+        return near, np.flatnonzero(distance[near] > -margin[near])
 
 
 def length(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, " *n"]:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import exprel
 
 from tactorch.errors import ConfigError
 from tactorch.inverse.data.plain import to_plain, with_arrays
@@ -16,12 +15,13 @@ from tactorch.inverse.fields import strength
 from tactorch.inverse.fields.background import Background
 from tactorch.inverse.fields.base import Vector
 from tactorch.inverse.fields.family import FAMILIES, Family
-from tactorch.inverse.fields.inclusion import SIZE, InclusionShape, Parameters
+from tactorch.inverse.fields.inclusion import COMMON, SIZE, InclusionShape, Parameters
 from tactorch.inverse.fields.prior import ShapePrior
 from tactorch.inverse.fields.sites import Sites
 
 _UNIFORM = Background()
 _SMOOTH = "legendre"  # modes of a smooth background
+_ALL = slice(None)
 _STEP = 1e-5  # of differences, in standard deviations of the prior
 
 
@@ -48,7 +48,7 @@ class ShapeField:
             "prior": to_plain(self.prior),
             "families": [family.name for family in self.families],
             "degree": self.background.degree,
-            "layers": list(self.background.layers),
+            "steps": list(self.background.steps),
             "smooth": _SMOOTH,
         }
 
@@ -59,15 +59,16 @@ class ShapeField:
         Raises:
             ConfigError: the background has the modes of an earlier version.
         """
-        if plain["degree"] and plain.get("smooth") != _SMOOTH:
+        is_smooth = not plain["degree"] or plain.get("smooth") == _SMOOTH
+        if not is_smooth or any(plain.get("layers", ())):
             raise ConfigError(
-                "The shapes have a smooth background by the modes of an earlier version; fit them "
-                "again with tactorch find."
+                "The shapes have a background by the modes of an earlier version; fit them again "
+                "with tactorch find."
             )
         # Earlier versions state for each inclusion whether it is an ellipsoid.
         names = ["ellipsoid" if distorted else "ball" for distorted in plain.get("distorted", ())]
         families = tuple(FAMILIES[name] for name in plain.get("families", names))
-        background = Background(plain["degree"], tuple(plain.get("layers", (0, 0, 0))))
+        background = Background(plain["degree"], tuple(plain.get("steps", ())))
         return ShapeField(ShapePrior(**with_arrays(plain["prior"])), families, background)
 
     @property
@@ -192,12 +193,8 @@ class ShapeField:
 
         `values` are in mm and logarithms; see `physical`.
         """
-        slopes = self.background.derivative(self.prior, points)
-        return np.asarray((slopes * values[:, : self.n_background]).sum(axis=1))
-
-    def _background(self, sites: Sites) -> Float[np.ndarray, "volumes k"]:
-        """Derivative of the background's log-modulus by its parameters."""
-        return self.background.derivative(self.prior, sites.centers)
+        own = values[:, : self.n_background]
+        return self.background.log_youngs(self.prior, own, Sites.at(points))
 
     def log_youngs(
         self, z: Vector, sites: Sites, fractions: Sequence[Float[np.ndarray, " elements"]] = ()
@@ -207,33 +204,55 @@ class ShapeField:
         Fractions of the elements inside each inclusion are used where they are given.
         """
         values = self.physical(z)
-        out = self._background(sites) @ values[: self.n_background]
-        for k, (family, own, _) in enumerate(self._inclusions(values)):
-            if fractions:
-                out += own.log_contrast * np.repeat(fractions[k], sites.shape[1])
-            else:
-                near, change = family.log_change(own, sites)
-                out[near] += change
+        inside = [(_ALL, np.repeat(part, sites.shape[1])) for part in fractions]
+        out = self.background.log_youngs(self.prior, values[: self.n_background], sites)
+        for order in self._by_sign(values):
+            covered = np.zeros(len(out))
+            for k, family, own in order:
+                near, inner = inside[k] if fractions else family.fractions(own, sites)
+                covered[near] += inner * (own.log_contrast - covered[near])
+            out += covered
         return out
 
     def mean_youngs(self, z: Vector, sites: Sites) -> Float[np.ndarray, " volumes"]:
         """Return the arithmetic mean of the modulus over each volume, MPa.
 
-        The background of a volume is that of its centre.
+        The smooth background of a volume is that of its centre.
         """
         values = self.physical(z)
-        out = np.exp(self._background(sites) @ values[: self.n_background])
-        for family, own, _ in self._inclusions(values):
-            near, change = family.log_change(own, sites)
-            # The change is the log-contrast times the fraction inside.
-            out[near] *= 1.0 + change * exprel(own.log_contrast)
+        out = np.exp(self.background.log_youngs(self.prior, values[: self.n_background], sites))
+        for order in self._by_sign(values):
+            covered = np.ones(len(out))
+            for _, family, own in order:
+                near, inner = family.fractions(own, sites)
+                covered[near] += inner * (np.exp(own.log_contrast) - covered[near])
+            out *= covered
         return out
+
+    def _by_sign(self, values: Vector) -> Iterator[list[tuple[int, Family, Parameters]]]:
+        """Yield the stiff inclusions, and the soft ones, those of the largest contrast last.
+
+        Where stiff ones overlap, that of the largest contrast counts, as one body is not stiffer
+        for being described twice; a soft one in a stiff one counts with it.
+        """
+        found = [(k, family, own) for k, (family, own, _) in enumerate(self._inclusions(values))]
+        found.sort(key=lambda one: abs(one[2].log_contrast))
+        yield [one for one in found if one[2].log_contrast > 0.0]
+        yield [one for one in found if one[2].log_contrast <= 0.0]
 
     def jacobian(self, z: Vector, sites: Sites) -> np.ndarray:
         """Return the derivative of `log_youngs` by the parameters, (volumes, size)."""
-        out = np.zeros((len(sites.points), self.size))
-        out[:, : self.n_background] = self._background(sites)
-        for family, own, part in self._inclusions(self.physical(z)):
-            near, columns = family.log_change_derivative(own, sites)
-            out[near, part] = columns
+        values, out = self.physical(z), np.zeros((len(sites.points), self.size))
+        own_background = values[: self.n_background]
+        out[:, : self.n_background] = self.background.jacobian(self.prior, own_background, sites)
+        for order in self._by_sign(values):
+            covered = np.zeros(len(out))
+            for k, family, own in order:
+                near, inner, slopes = family.fraction_derivative(own, sites)
+                for other, *_ in order:
+                    out[near, self.parts[other]] *= (1.0 - inner)[:, None]
+                columns = (own.log_contrast - covered[near])[:, None] * slopes
+                place = COMMON.index("log_contrast")
+                out[near, self.parts[k]] = np.insert(columns, place, inner, axis=1)
+                covered[near] += inner * (own.log_contrast - covered[near])
         return out * self.deviation

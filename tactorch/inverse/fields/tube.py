@@ -241,11 +241,6 @@ class TubeFamily(Family):
         slopes = np.concatenate([np.zeros(3), [by_size], by_vectors])
         return -np.outer(slopes, self._shift(own, width)) / radius
 
-    def _near(self, own: Parameters, sites: Sites) -> Int[np.ndarray, " near"]:
-        apart = length(self.offsets(own, sites.centers)[0])
-        reach = self._radius(own)[0] + 4.0 * sites.width + sites.radii
-        return np.flatnonzero(apart < reach)
-
     def _radius(self, own: Parameters) -> tuple[float, float, Float[np.ndarray, " k"]]:
         """Return the tube's radius (mm), and its derivatives by log-radius and vectors.
 
@@ -355,10 +350,6 @@ class TaperedRodFamily(RodFamily):
         shape = points.shape[:-1]
         values = distances - radius - slope * size * t
         return values.reshape(shape), slopes.reshape(-1, *shape)
-
-    def _near(self, own: Parameters, sites: Sites) -> Int[np.ndarray, " near"]:
-        apart = self.distance(own, sites.centers[:, None])[:, 0]
-        return np.flatnonzero(apart < 4.0 * sites.width + sites.radii)
 
     def _radius(self, own: Parameters) -> tuple[float, float, Float[np.ndarray, " k"]]:
         """Return the radius at the centre, and its derivatives by log-radius, vector and taper."""

@@ -228,19 +228,38 @@ def make_posterior(model: Model, sites: Sites) -> ShapePosterior:
 
 def with_ball(fit: ShapeFit, candidate: Candidate) -> tuple[str, ShapeField, Vector]:
     """Return the description, field and parameters of a model with a further ball or rod."""
-    size = np.clip(abs(candidate.log_contrast), *_START_CONTRAST)
-    candidate = candidate._replace(log_contrast=float(np.copysign(size, candidate.log_contrast)))
+    candidate = candidate._replace(log_contrast=start_contrast(candidate.log_contrast))
     births = ((FAMILIES[name], FAMILIES[name].birth(candidate)) for name in FAMILIES)
     family, inclusion = next((family, own) for family, own in births if own is not None)
-    field = replace(fit.field, families=(*fit.field.families, family))
-    z = field.standard(np.concatenate([fit.field.physical(fit.z), inclusion]))
     kind = "rod" if candidate.half_mm.any() else "ball"
-    return f"{kind} at {np.round(candidate.center_mm, 1).tolist()} mm", field, z
+    where = np.round(candidate.center_mm, 1).tolist()
+    return f"{kind} at {where} mm", *with_inclusion(fit, family, inclusion)
+
+
+def start_contrast(contrast: float) -> float:
+    """Return the log-contrast of a start, of that which a linear model has."""
+    return float(np.copysign(np.clip(abs(contrast), *_START_CONTRAST), contrast))
+
+
+def with_inclusion(
+    fit: ShapeFit, family: Family, values: Float[np.ndarray, " parameters"]
+) -> tuple[ShapeField, Vector]:
+    """Return the model with a further inclusion, whose parameters are in mm and logarithms."""
+    field = replace(fit.field, families=(*fit.field.families, family))
+    return field, field.standard(np.concatenate([fit.field.physical(fit.z), values]))
 
 
 def varied(field: ShapeField, z: Vector, **background: Any) -> tuple[ShapeField, np.ndarray]:
     """Return the model with more modes of the background, which start at zero."""
     return field.changed(z, background=replace(field.background, **background))
+
+
+def with_step(fit: ShapeFit, side: str, place: float, contrast: float) -> tuple[ShapeField, Vector]:
+    """Return the model with a further step of the background; place in mm, contrast in logs."""
+    contrast = start_contrast(contrast)
+    background, end = fit.field.background, fit.field.n_background
+    field = replace(fit.field, background=replace(background, steps=(*background.steps, side)))
+    return field, field.standard(np.insert(fit.field.physical(fit.z), end, [place, contrast]))
 
 
 def less(model: Model, removed: Sequence[int]) -> Start:

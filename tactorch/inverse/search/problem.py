@@ -30,11 +30,10 @@ from tactorch.inverse.search.proposals import (
     changed,
     further,
     joined,
-    layers,
     other_errors,
     removed,
-    uniform_background,
 )
+from tactorch.inverse.search.slabs import simpler_background, slabs
 from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
@@ -57,7 +56,7 @@ class ShapeProblem(SearchProblem):
     """
 
     proposals = (
-        other_errors, further, backgrounds, layers, uniform_background, removed, changed, joined,
+        other_errors, further, backgrounds, slabs, simpler_background, removed, changed, joined,
     )  # fmt: skip
     forms = "ellipsoid", "cuboid", "rod", "tapered rod", "bent rod", "ring"
     trial_steps = 20  # a form starts far from its best fit

@@ -32,7 +32,6 @@ from tactorch.linalg import map_cases
 
 _log = logging.getLogger(__name__)
 _STARTS = 3  # fits of each further inclusion
-_LAYERS = 8  # largest wave number of layers: half a wave is an eighth of the body
 _MUCH_LESS = 0.5  # misfit of a pair of changes, over that of the best one
 _SAME = 2.0  # distance of centres, in radii, below which two starts are of the same ball: touching
 
@@ -179,23 +178,6 @@ def backgrounds(problem: SearchProblem, model: Model) -> Iterator[Start]:
             varying = varied(fit.field, fit.z, degree=degree)
             yield Start(f"background of degree {degree}", *varying, model.errors)
             return
-
-
-def layers(problem: SearchProblem, model: Model) -> Iterator[Start]:
-    """Yield the model with layers across each axis."""
-    if not any(model.fit.field.background.layers):
-        for axis in range(3):
-            numbers = tuple(_LAYERS if k == axis else 0 for k in range(3))
-            layered = varied(model.fit.field, model.fit.z, layers=numbers)
-            yield Start(f"layers across {'xyz'[axis]}", *layered, model.errors)
-
-
-def uniform_background(problem: SearchProblem, model: Model) -> Iterator[Start]:
-    """Yield the model with a uniform background, as inclusions may explain what it varied for."""
-    field, z = model.fit.field, model.fit.z
-    if field.families and len(field.background.waves):
-        uniform = varied(field, z, degree=0, layers=(0, 0, 0))
-        yield Start("uniform background", *uniform, model.errors)
 
 
 def removed(problem: SearchProblem, model: Model) -> Iterator[Start]:

@@ -1,0 +1,137 @@
+"""Matched filter for slabs: parts of a body between two planes across an axis.
+
+A slab that ends within the body at one plane is a step of the background, one between two planes a
+cuboid. Both are proposed where they would reduce the misfit most.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from tactorch.inverse.data.observations import DataModel
+from tactorch.inverse.fields import FAMILIES, Cloud, Sites
+from tactorch.inverse.fields.background import beyond
+from tactorch.inverse.search.base import SearchProblem
+from tactorch.inverse.search.model import (
+    MIN_CANDIDATE_GAIN,
+    Model,
+    Start,
+    start_contrast,
+    with_inclusion,
+    with_step,
+)
+
+_PLANES, _MAX_STEPS = 15, 4  # planes across an axis, and steps of a background
+_THICKEST = 0.5  # of a cuboid, over the extent of the body
+_WIDE = 0.92  # width of a cuboid over that of the body
+_POINTS = 6  # of a cloud along each axis
+
+
+def slabs(problem: SearchProblem, model: Model) -> Iterator[Start]:
+    """Yield the model with the best step, and with the best cuboid, across any axis."""
+    data, field = problem.data(model.errors), model.fit.field
+    basis, _ = np.linalg.qr(data.whiten(problem.jacobian(model)))
+    residuals = data.whiten(problem.raw(model).residuals)
+    found = [
+        slab
+        for axis in problem.step_axes
+        for slab in _slabs(axis, *_responses(problem, data, axis), residuals, basis)
+    ]
+    thin = [slab for slab in found if slab.gain >= MIN_CANDIDATE_GAIN]
+    steps = [slab for slab in thin if slab.is_at_end]
+    if steps and len(field.background.steps) < _MAX_STEPS:
+        yield _with_step(model, max(steps, key=lambda slab: slab.gain))
+    if thin and len(field.families) < problem.max_shapes and "cuboid" in problem.forms:
+        yield _with_cuboid(model, max(thin, key=lambda slab: slab.gain))
+
+
+class _Slab(NamedTuple):
+    """What is between two planes; at least one of them is within the body."""
+
+    axis: int
+    low: float | None  # mm; None at the end of the body
+    high: float | None
+    log_contrast: float
+    gain: float  # linearised
+
+    @property
+    def is_at_end(self) -> bool:
+        return self.low is None or self.high is None
+
+    @property
+    def what(self) -> str:
+        ends = zip((">", "<"), (self.low, self.high), strict=True)
+        name = "xyz"[self.axis]
+        return " and ".join(f"{name} {sign} {end:.3g} mm" for sign, end in ends if end is not None)
+
+
+def _slabs(
+    axis: int,
+    planes: Float[np.ndarray, " planes"],
+    responses: Float[np.ndarray, "data planes"],
+    residuals: Float[np.ndarray, " data"],
+    basis: Float[np.ndarray, "data k"],
+) -> Iterator[_Slab]:
+    """Yield the slabs across an axis of up to half the extent of the body."""
+    responses = responses - basis @ (basis.T @ responses)
+    products, squares = residuals @ responses, responses.T @ responses
+    for i, j in combinations(range(len(planes)), 2):
+        if j - i <= _THICKEST * len(planes):
+            square = squares[i, i] + squares[j, j] - 2.0 * squares[i, j] + 1e-12
+            contrast = (products[i] - products[j]) / square
+            low = None if i == 0 else float(planes[i])
+            high = None if j == len(planes) - 1 else float(planes[j])
+            yield _Slab(axis, low, high, float(contrast), float(0.5 * contrast**2 * square))
+
+
+def _responses(
+    problem: SearchProblem, data: DataModel, axis: int
+) -> tuple[Float[np.ndarray, " planes"], Float[np.ndarray, "data planes"]]:
+    """Return planes (mm) from end to end of the body, and the changes of what is below them."""
+    mesh = problem.reduced.recording.mesh
+    low, high = mesh.bounds
+    planes, sites = np.linspace(low[axis], high[axis], _PLANES + 2), Sites.around(mesh)
+    below = [beyond(f"{'xyz'[axis]}-", float(plane), sites)[0] for plane in planes]
+    below[0], below[-1] = 0.0 * below[0], 0.0 * below[-1] + 1.0
+    rates = np.asarray(problem.reduced.rates @ np.stack(below, axis=1))
+    return planes, data.whiten(rates * data.scale[:, None])
+
+
+def _with_step(model: Model, slab: _Slab) -> Start:
+    side, place = ("-", slab.high) if slab.low is None else ("+", slab.low)
+    assert place is not None
+    stepped = with_step(model.fit, "xyz"[slab.axis] + side, place, slab.log_contrast)
+    return Start(f"step, {slab.what}", *stepped, model.errors)
+
+
+def _with_cuboid(model: Model, slab: _Slab) -> Start:
+    """Return the model with a slab as a cuboid, nearly as wide as the body."""
+    prior = model.fit.field.prior
+    margin = 0.5 * (1.0 - _WIDE) * (prior.high_mm - prior.low_mm)
+    low, high = prior.low_mm + margin, prior.high_mm - margin
+    low[slab.axis] = prior.low_mm[slab.axis] if slab.low is None else slab.low
+    high[slab.axis] = prior.high_mm[slab.axis] if slab.high is None else slab.high
+    ticks = (np.arange(_POINTS) + 0.5) / _POINTS
+    unit = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
+    log_radius = float(np.log(0.75 / np.pi * (high - low).prod()) / 3.0)
+    cloud = Cloud(low + (high - low) * unit, log_radius, start_contrast(slab.log_contrast))
+    cuboid = FAMILIES["cuboid"]
+    added = with_inclusion(model.fit, cuboid, cuboid.like(cloud))
+    return Start(f"cuboid, {slab.what}", *added, model.errors)
+
+
+def simpler_background(problem: SearchProblem, model: Model) -> Iterator[Start]:
+    """Yield the model without what its background varies by, which inclusions may explain."""
+    fit, background = model.fit, model.fit.field.background
+    if background.degree and fit.field.families:
+        uniform = fit.field.changed(fit.z, background=replace(background, degree=0))
+        yield Start("background of degree 0", *uniform, model.errors)
+    for k, side in enumerate(background.steps):
+        kept = tuple(other for i, other in enumerate(background.steps) if i != k)
+        field = replace(fit.field, background=replace(background, steps=kept))
+        values = np.delete(fit.field.physical(fit.z), background.step_at(k))
+        yield Start(f"step {k} at {side} removed", field, field.standard(values), model.errors)
