@@ -17,8 +17,8 @@ are left out (`tactorch.importers.strokes`). The contact is found from the force
 first sample and the stiffness of a probe fit the force on a ball in a half-space. Samples that are
 clear of the surface give the offset of the force sensor for each probe
 (`tactorch.importers.offsets`); without any it is taken as zero, which shifts all depths by about as
-much. The object is a block below the surface through the contacts; its depth is not known to the
-robot and has to be stated.
+much. The object is a block below the surface through the contacts. Its depth is stated where it is
+known; otherwise the block is deep, and a search may find a stiff base in it.
 """
 
 import logging
@@ -50,6 +50,10 @@ from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Rec
 _log = logging.getLogger(__name__)
 _MIN_LOST = 0.05  # share of the work that is not given back, from which a message states it
 _DEEP = 0.5  # depth of a ball over that of the object there, from which a message states it
+# Depth of a block whose depth is not known, over the radius of the ball: its base adds 5 % to the
+# force of a ball that is pressed in by half its radius (E. K. Dimitriadis et al., Biophys. J. 82
+# (2002), 2798-2810).
+_FELT = 12.0
 _OTHER_CONTACT = 0.5  # distance of contacts from those of the file, over the ball's radius
 
 
@@ -62,8 +66,12 @@ class PalpationSettings(Options):
         None, "Radius of the ball; null: distance of its centre from the contacts in the file",
         unit="mm", gt=0,
     )  # fmt: skip
-    depth_mm: float = option(
-        15.0, "Depth of the object's bottom below the lowest contact", unit="mm", gt=0
+    depth_mm: float | None = option(
+        None,
+        "Depth of the object's bottom below the lowest contact; null: not known, so that the "
+        "search finds a stiff base where the forces show one, in a block of 12 radii of the ball",
+        unit="mm",
+        gt=0,
     )
     margin_mm: float = option(
         8.0, "Distance of the object's sides from the outermost contacts", unit="mm", ge=0
@@ -145,6 +153,10 @@ class PalpationSettings(Options):
         """Return how a unit of "force" or "position" is stated, for messages."""
         return f"convert the messages, whose unit of {what} is m or N"
 
+    def _depth_mm(self, radius_mm: float) -> float:
+        """Return the depth of the block, which a ball hardly feels where it is not stated."""
+        return _FELT * radius_mm if self.depth_mm is None else self.depth_mm
+
     def _turn(self) -> Float[np.ndarray, "3 3"]:
         """Return the rotation of the axes of the file to those whose z points out."""
         axis = "xyz".index(self.up[0])
@@ -159,18 +171,18 @@ class PalpationSettings(Options):
         np.maximum.at(deepest, samples.probe, samples.advance_mm)
         deepest += contacts.depth_mm
         heights = contacts.points_mm[:, 2]
-        below = deepest - (heights - heights.min() + self.depth_mm)
+        below = deepest - (heights - heights.min() + self._depth_mm(samples.radius_mm))
         if self.mesh is None and below.max() >= 0.0:
             raise FileError(
                 f"'{source}': probe '{samples.names[below.argmax()]}' is pressed in by "
                 f"{deepest[below.argmax()]:.3g} mm, more than the object is deep; give the depth of"
-                f" its bottom in mm (format.depth_mm={self.depth_mm:g})."
+                f" its bottom in mm (format.depth_mm={self.depth_mm})."
             )
         shares = deepest / (deepest - below)
         if self.mesh is None and shares.max() > _DEEP:
             _log.warning(
                 "'%s': probe '%s' is pressed in by %.0f %% of the depth of the object, where "
-                "forces of small strains are wrong; check format.depth_mm=%g.",
+                "forces of small strains are wrong; check format.depth_mm=%s.",
                 source, samples.names[shares.argmax()], 100.0 * shares.max(), self.depth_mm,
             )  # fmt: skip
         if self.radius_mm is None and rows.contacts_mm is not None:
@@ -209,8 +221,9 @@ class PalpationSettings(Options):
                 len(contacts.points_mm), height.error_mm,
             )  # fmt: skip
         block = block_below(
-            height, depth_mm=self.depth_mm, margin_mm=self.margin_mm, edge_mm=self.edge_mm
-        )
+            height, depth_mm=self._depth_mm(samples.radius_mm), margin_mm=self.margin_mm,
+            edge_mm=self.edge_mm,
+        )  # fmt: skip
         fixed = np.zeros((block.mesh.n_points, 3), dtype=bool)
         fixed[block.bottom] = True
         above = height(contacts.points_mm[:, :2]) - contacts.points_mm[:, 2]

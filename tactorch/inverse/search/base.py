@@ -238,8 +238,8 @@ class SearchProblem(ABC):
         step = z - model.fit.z
         return model.evaluation.moved([np.tensordot(step, field, 1) for field in fields])
 
-    def try_model(self, start: Start, offsets: list[np.ndarray]) -> tuple[Evidence, np.ndarray]:
-        """Return the evidence and the parameters of a fit with the reduced model.
+    def try_model(self, start: Start, offsets: list[np.ndarray]) -> ShapeFit:
+        """Return the fit of a model with the reduced model.
 
         Args:
             start: Model and parameters to start from.
@@ -247,15 +247,14 @@ class SearchProblem(ABC):
         """
         self._check()
         problem = self.reduced.with_data(self.data(start.errors).shifted(offsets))
-        fit, _ = fit_shapes(
+        return fit_shapes(
             problem, start.field, start.z, sites=self._reduced_sites,
             max_iterations=self.trial_steps, tolerance=FINE, give_up=self._never,
-        )  # fmt: skip
-        return Evidence(fit.residuals, fit.complexity), fit.z
+        )[0]  # fmt: skip
 
     def without(self, model: Model, removed: Sequence[int]) -> Evidence:
         """Return the evidence of a final model without some inclusions, by the reduced model."""
-        return self.try_model(less(model, removed), self.offsets(model))[0]
+        return self.try_model(less(model, removed), self.offsets(model))
 
     def offsets(self, model: Model) -> list[np.ndarray]:
         """Return predictions of the reduced model less those of the full one at a model."""

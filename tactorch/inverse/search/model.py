@@ -63,17 +63,17 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class Proposal(Start):
-    """A model with the evidence of a fit with the reduced model, or to linearised predictions.
+    """A model with its fit with the reduced model.
 
     Attributes:
-        trial: The evidence.
+        trial: The fit.
         least_gain: Gain of log-evidence for which it is accepted.
         promise: Gain of the trial at the noise that the present model would need.
         kind: What it changes of the present model: number of inclusions, families, background, and
             errors.
     """
 
-    trial: Evidence
+    trial: ShapeFit
     least_gain: float = 0.0
     promise: float = 0.0
     kind: tuple[bool, ...] = ()

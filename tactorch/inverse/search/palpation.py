@@ -28,6 +28,7 @@ from tactorch.inverse.search.base import ROUGH, SearchProblem
 from tactorch.inverse.search.matched import MatchedFilter
 from tactorch.inverse.search.model import MIN_GAIN, Model, Start, less, make_posterior
 from tactorch.inverse.search.proposals import backgrounds, changed, further, other_errors
+from tactorch.inverse.search.slabs import simpler_background, slabs
 from tactorch.mesh.geometry import farthest_point_order
 from tactorch.recording import Recording
 
@@ -60,7 +61,7 @@ class PalpationSearch(SearchProblem):
     """
 
     full: PalpationProblem
-    proposals = (other_errors, further, backgrounds, changed)
+    proposals = (other_errors, further, backgrounds, slabs, simpler_background, changed)
     max_fits, rival_share, trial_share, final_tolerance = 5, 1.0, _SHARE, _TOLERANCE
 
     def __init__(
@@ -80,6 +81,8 @@ class PalpationSearch(SearchProblem):
         self._reduced_sites = Sites.around(recording.mesh)
         self.errors = ErrorModel(MeasuredPresses(self.full), ERRORS)
         self._linearise_about(self.full.evaluate(np.full(self.sites.shape, self.full.contact_mpa)))
+        normal = np.mean([place.normal for place in self.full.indentation.places], axis=0)
+        self.step_axes = (int(np.argmax(np.abs(normal))),)
         prior = ShapePrior.of(recording.mesh, self.full.contact_mpa)
         self.prior = replace(prior, outside_mm=_OUTSIDE_MM)
         self.min_gain = _MIN_GAIN * len(recording.presses) / len(self.full.indentation.places)

@@ -32,6 +32,7 @@ from tactorch.linalg import map_cases
 
 _log = logging.getLogger(__name__)
 _STARTS = 3  # fits of each further inclusion
+_FORMS = 2  # other forms of an inclusion beside which a further one is tried
 _MUCH_LESS = 0.5  # misfit of a pair of changes, over that of the best one
 _SAME = 2.0  # distance of centres, in radii, below which two starts are of the same ball: touching
 
@@ -46,6 +47,7 @@ def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
     fit = model.fit
     starts = [start for source in problem.proposals for start in source(problem, model)]
     proposals = _fitted(problem, model, starts)
+    proposals += _fitted(problem, model, [*_further_beside(problem, model, proposals)])
     least_chi2 = min((p.trial.chi2 for p in proposals), default=0.0)
     if least_chi2 > MAX_ROUGH_CHI2:
         pairs = _fitted(problem, model, _pairs(problem, model, proposals))
@@ -70,10 +72,10 @@ def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
 
 def _kind(other: Start, model: Model) -> tuple[bool, ...]:
     """Return `Proposal.kind`."""
-    field = model.fit.field
-    adds = len(other.field.families) > len(field.families)
-    changes = other.field.families != field.families, other.field.background != field.background
-    return adds, *changes, other.errors != model.errors
+    field, families = model.fit.field, other.field.families
+    adds = len(families) > len(field.families)
+    same = families[: len(field.families)] == field.families[: len(families)]
+    return adds, same, other.field.background != field.background, other.errors != model.errors
 
 
 def _by_kind(proposals: Sequence[Proposal]) -> list[Proposal]:
@@ -126,9 +128,8 @@ def _fitted(problem: SearchProblem, model: Model, starts: Sequence[Start]) -> li
         chains.setdefault(_key(start.errors) if adds else start.what, []).append(start)
 
     def fit(start: Start) -> Proposal:
-        trial, z = problem.try_model(start, offsets)
-        if len(start.field.families) > count:
-            z = moderate(start.field, z)
+        trial = problem.try_model(start, offsets)
+        z = moderate(start.field, trial.z) if len(start.field.families) > count else trial.z
         return Proposal(start.what, start.field, z, start.errors, trial)
 
     def fit_in_turn(chain: Sequence[Start]) -> list[Proposal]:
@@ -140,6 +141,26 @@ def _fitted(problem: SearchProblem, model: Model, starts: Sequence[Start]) -> li
 
     parts = map_cases(lambda k: fit_in_turn([*chains.values()][k]), len(chains))
     return [proposal for part in parts for proposal in part]
+
+
+def _further_beside(
+    problem: SearchProblem, model: Model, proposals: list[Proposal]
+) -> Iterator[Start]:
+    """Yield the best other forms of an inclusion with a further one beside it.
+
+    Two balls may explain more than any one inclusion, and less than another form with a ball.
+    """
+    fit, weights = model.fit, noise_weights(problem.groups, model.fit.residuals)
+    count = len(fit.field.families)
+    forms = [p for p in proposals if len(p.field.families) == count and p.errors == model.errors]
+    forms = [p for p in forms if p.field.families != fit.field.families]
+    forms.sort(key=lambda p: -weighted_gain(p.trial, fit, weights))
+    for form in forms[:_FORMS] if count < problem.max_shapes else ():
+        trial, matched = form.trial, problem.filter(form.errors)
+        for candidate in matched.best(trial.residuals, trial.jacobian, 1):
+            if candidate.gain >= MIN_CANDIDATE_GAIN:
+                what, *added = with_ball(trial, candidate)
+                yield Start(f"{form.what}, {what}", *added, form.errors)
 
 
 def other_errors(problem: SearchProblem, model: Model) -> Iterator[Start]:
@@ -225,8 +246,8 @@ def _are_near(shapes: Sequence[InclusionShape]) -> bool:
 
 
 def _is_inside(start: Start, proposal: Proposal) -> bool:
-    """Whether both have a further inclusion of the same family, with centres near each other."""
-    if start.field.families[-1] is not proposal.field.families[-1]:
+    """Whether both have a further inclusion of one family, with centres near each other."""
+    if start.field.families != proposal.field.families:
         return False
     first, last = (one.field.own(one.field.physical(one.z), -1) for one in (start, proposal))
     apart = np.linalg.norm(first.center - last.center)
