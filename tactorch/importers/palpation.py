@@ -50,7 +50,7 @@ from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Rec
 _log = logging.getLogger(__name__)
 _MIN_LOST = 0.05  # share of the work that is not given back, from which a message states it
 _DEEP = 0.5  # depth of a ball over that of the object there, from which a message states it
-# Depth of a block whose depth is not known, over the radius of the ball: its base adds 5 % to the
+# Depth of a block whose depth is not known, over the radius of the ball: its base adds 7 % to the
 # force of a ball that is pressed in by half its radius (E. K. Dimitriadis et al., Biophys. J. 82
 # (2002), 2798-2810).
 _FELT = 12.0

@@ -12,7 +12,7 @@ from tactorch.errors import CancelledError
 from tactorch.inverse import Settings, find_shapes
 from tactorch.inverse.fields import BALL, Background, ShapeField, ShapePrior
 from tactorch.inverse.fields.tube import RING
-from tactorch.inverse.fit.shapes import Evidence
+from tactorch.inverse.fit.shapes import ShapeFit
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.draft import DraftShapes
 from tactorch.inverse.search.draft_errors import DraftOptions
@@ -100,8 +100,8 @@ def test_a_session_gives_up_a_ball_that_further_presses_contradict(
     assert after.history[0]["model"] == "the model before"
 
 
-def _evidence(value: float) -> Evidence:
-    return Evidence(np.zeros(4), -value)
+def _evidence(value: float) -> Mock:
+    return Mock(spec=ShapeFit, residuals=np.zeros(4), complexity=-value)
 
 
 def _proposal(what: str, promise: float, model: Mock, **changes: Any) -> Proposal:

@@ -27,7 +27,6 @@ from tactorch.inverse.fields.family import (
 )
 from tactorch.inverse.fields.inclusion import COMMON, Cloud, InclusionShape, Parameters
 from tactorch.inverse.fields.prior import ShapePrior
-from tactorch.inverse.fields.sites import Sites
 from tactorch.mesh.surfaces import TriangleSurface, marching_cubes
 
 _DEVIATION = 0.25  # of the components of vectors, over the body's size

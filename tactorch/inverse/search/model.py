@@ -254,18 +254,19 @@ def varied(field: ShapeField, z: Vector, **background: Any) -> tuple[ShapeField,
     return field.changed(z, background=replace(field.background, **background))
 
 
-def with_step(fit: ShapeFit, side: str, place: float, contrast: float) -> tuple[ShapeField, Vector]:
-    """Return the model with a further step of the background; place in mm, contrast in logs."""
-    contrast = start_contrast(contrast)
-    background, end = fit.field.background, fit.field.n_background
-    field = replace(fit.field, background=replace(background, steps=(*background.steps, side)))
-    return field, field.standard(np.insert(fit.field.physical(fit.z), end, [place, contrast]))
+def with_step(
+    field: ShapeField, z: Vector, side: str, place_mm: float, log_contrast: float
+) -> tuple[ShapeField, Vector]:
+    """Return the model with a further step of the background, see `Background`."""
+    background, end = field.background, field.n_background
+    other = replace(field, background=replace(background, steps=(*background.steps, side)))
+    return other, other.standard(np.insert(field.physical(z), end, [place_mm, log_contrast]))
 
 
 def less(model: Model, removed: Sequence[int]) -> Start:
     """Return a model without some of its inclusions."""
     what = f"inclusion {', '.join(map(str, removed))} removed"
-    return Start(what, *_replaced(model, removed, (), []), model.errors)
+    return Start(what, *replaced(model, removed, (), []), model.errors)
 
 
 def as_one(model: Model, inclusions: Sequence[int], family: Family) -> Start:
@@ -273,10 +274,10 @@ def as_one(model: Model, inclusions: Sequence[int], family: Family) -> Start:
     shapes = list(model.fit.field.shapes(model.fit.z))
     values = family.like(Cloud.of([shapes[k] for k in inclusions]))
     what = f"inclusion {' and '.join(map(str, inclusions))} as {family.noun}"
-    return Start(what, *_replaced(model, inclusions, (family,), [values]), model.errors)
+    return Start(what, *replaced(model, inclusions, (family,), [values]), model.errors)
 
 
-def _replaced(
+def replaced(
     model: Model,
     removed: Sequence[int],
     families: tuple[Family, ...],

@@ -28,6 +28,7 @@ from tactorch.inverse.search.model import (
     with_ball,
     with_family,
 )
+from tactorch.inverse.search.slabs import crosses
 from tactorch.linalg import map_cases
 
 _log = logging.getLogger(__name__)
@@ -159,8 +160,8 @@ def _further_beside(
         trial, matched = form.trial, problem.filter(form.errors)
         for candidate in matched.best(trial.residuals, trial.jacobian, 1):
             if candidate.gain >= MIN_CANDIDATE_GAIN:
-                what, *added = with_ball(trial, candidate)
-                yield Start(f"{form.what}, {what}", *added, form.errors)
+                what, field, z = with_ball(trial, candidate)
+                yield Start(f"{form.what}, {what}", field, z, form.errors)
 
 
 def other_errors(problem: SearchProblem, model: Model) -> Iterator[Start]:
@@ -211,13 +212,16 @@ def removed(problem: SearchProblem, model: Model) -> Iterator[Start]:
 
 
 def changed(problem: SearchProblem, model: Model) -> Iterator[Start]:
-    """Yield the model with each inclusion of a family with more parameters."""
-    fit = model.fit
+    """Yield the model with each inclusion of a family with more parameters.
+
+    Plates remain cuboids: as another form they would be nearly all of the body.
+    """
+    fit, shapes = model.fit, list(model.fit.field.shapes(model.fit.z))
     for k, family in enumerate(fit.field.families):
         for other in families_beyond(family):
             what = f"inclusion {k} as {other.noun}"
             yield Start(what, *with_family(fit.field, fit.z, k, other), model.errors)
-        if family.judged_as == family.name:
+        if family.judged_as == family.name and not crosses(shapes[k], fit.field.prior):
             for name in problem.forms:
                 if name != family.name:
                     yield as_one(model, [k], FAMILIES[name])

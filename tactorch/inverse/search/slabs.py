@@ -13,13 +13,22 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.inverse.data.observations import DataModel
-from tactorch.inverse.fields import FAMILIES, Cloud, Sites
+from tactorch.inverse.fields import (
+    FAMILIES,
+    Cloud,
+    InclusionShape,
+    ShapeField,
+    ShapePrior,
+    Sites,
+    Vector,
+)
 from tactorch.inverse.fields.background import beyond
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import (
     MIN_CANDIDATE_GAIN,
     Model,
     Start,
+    replaced,
     start_contrast,
     with_inclusion,
     with_step,
@@ -28,6 +37,7 @@ from tactorch.inverse.search.model import (
 _PLANES, _MAX_STEPS = 15, 4  # planes across an axis, and steps of a background
 _THICKEST = 0.5  # of a cuboid, over the extent of the body
 _WIDE = 0.92  # width of a cuboid over that of the body
+_ACROSS, _END = 0.8, 0.1  # width of a plate, and its distance from an end, over the body's
 _POINTS = 6  # of a cloud along each axis
 
 
@@ -44,7 +54,8 @@ def slabs(problem: SearchProblem, model: Model) -> Iterator[Start]:
     thin = [slab for slab in found if slab.gain >= MIN_CANDIDATE_GAIN]
     steps = [slab for slab in thin if slab.is_at_end]
     if steps and len(field.background.steps) < _MAX_STEPS:
-        yield _with_step(model, max(steps, key=lambda slab: slab.gain))
+        best = max(steps, key=lambda slab: slab.gain)
+        yield Start(f"step, {best.what}", *_with_step(field, model.fit.z, best), model.errors)
     if thin and len(field.families) < problem.max_shapes and "cuboid" in problem.forms:
         yield _with_cuboid(model, max(thin, key=lambda slab: slab.gain))
 
@@ -60,7 +71,7 @@ class _Slab(NamedTuple):
 
     @property
     def is_at_end(self) -> bool:
-        return self.low is None or self.high is None
+        return (self.low is None) != (self.high is None)
 
     @property
     def what(self) -> str:
@@ -85,7 +96,8 @@ def _slabs(
             contrast = (products[i] - products[j]) / square
             low = None if i == 0 else float(planes[i])
             high = None if j == len(planes) - 1 else float(planes[j])
-            yield _Slab(axis, low, high, float(contrast), float(0.5 * contrast**2 * square))
+            gain = float(0.5 * contrast**2 * square)
+            yield _Slab(axis, low, high, start_contrast(float(contrast)), gain)
 
 
 def _responses(
@@ -101,11 +113,39 @@ def _responses(
     return planes, data.whiten(rates * data.scale[:, None])
 
 
-def _with_step(model: Model, slab: _Slab) -> Start:
+def _with_step(field: ShapeField, z: Vector, slab: _Slab) -> tuple[ShapeField, Vector]:
     side, place = ("-", slab.high) if slab.low is None else ("+", slab.low)
     assert place is not None
-    stepped = with_step(model.fit, "xyz"[slab.axis] + side, place, slab.log_contrast)
-    return Start(f"step, {slab.what}", *stepped, model.errors)
+    return with_step(field, z, "xyz"[slab.axis] + side, place, slab.log_contrast)
+
+
+def crosses(shape: InclusionShape, prior: ShapePrior) -> bool:
+    """Whether an inclusion is nearly as wide as the body along two axes."""
+    return int((2.0 * shape.half_size_mm > _ACROSS * (prior.high_mm - prior.low_mm)).sum()) > 1
+
+
+def inclusions_as_steps(problem: SearchProblem, model: Model) -> Iterator[Start]:
+    """Yield the model with each plate at an end of the body as a step of its background."""
+    fit = model.fit
+    for k, shape in enumerate(fit.field.shapes(fit.z)):
+        if fit.field.families[k].name == "cuboid" and crosses(shape, fit.field.prior):
+            slab = _slab_like(shape, fit.field.prior)
+            if slab.is_at_end and slab.axis in problem.step_axes:
+                step = _with_step(*replaced(model, [k], (), []), slab)
+                yield Start(f"inclusion {k} as a step", *step, model.errors)
+
+
+def _slab_like(shape: InclusionShape, prior: ShapePrior) -> _Slab:
+    """Return the slab that resembles a plate."""
+    extent = prior.high_mm - prior.low_mm
+    axis = int(np.argmin(shape.half_size_mm / extent))
+    center, half = shape.center_mm[axis], shape.half_size_mm[axis]
+    low, high = float(center - half), float(center + half)
+    near = prior.low_mm + _END * extent, prior.high_mm - _END * extent
+    return _Slab(
+        axis, low if low > near[0][axis] else None, high if high < near[1][axis] else None,
+        float(np.log(shape.contrast)), 0.0,
+    )  # fmt: skip
 
 
 def _with_cuboid(model: Model, slab: _Slab) -> Start:
@@ -118,7 +158,7 @@ def _with_cuboid(model: Model, slab: _Slab) -> Start:
     ticks = (np.arange(_POINTS) + 0.5) / _POINTS
     unit = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
     log_radius = float(np.log(0.75 / np.pi * (high - low).prod()) / 3.0)
-    cloud = Cloud(low + (high - low) * unit, log_radius, start_contrast(slab.log_contrast))
+    cloud = Cloud(low + (high - low) * unit, log_radius, slab.log_contrast)
     cuboid = FAMILIES["cuboid"]
     added = with_inclusion(model.fit, cuboid, cuboid.like(cloud))
     return Start(f"cuboid, {slab.what}", *added, model.errors)
