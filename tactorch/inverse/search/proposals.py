@@ -156,7 +156,7 @@ def _further_beside(
     forms = [p for p in proposals if len(p.field.families) == count and p.errors == model.errors]
     forms = [p for p in forms if p.field.families != fit.field.families]
     forms.sort(key=lambda p: -weighted_gain(p.trial, fit, weights))
-    for form in forms[:_FORMS] if count < problem.max_shapes else ():
+    for form in forms[:_FORMS] if problem.forms and count < problem.max_shapes else ():
         trial, matched = form.trial, problem.filter(form.errors)
         for candidate in matched.best(trial.residuals, trial.jacobian, 1):
             if candidate.gain >= MIN_CANDIDATE_GAIN:
