@@ -14,6 +14,7 @@ from tactorch.inverse import Lump, Reconstruction
 from tactorch.inverse.result.text import (
     Fact,
     describe_lump,
+    describe_steps,
     format_modulus,
     headline,
     lead,
@@ -128,8 +129,10 @@ class RunReport:
 
     @property
     def others(self) -> list[str]:
-        """Sentences on all lumps but the first."""
-        return [describe_lump(lump) for lump in self.result.lumps[1:]]
+        """Sentences on all lumps but the first, and on steps of the background beside a lump."""
+        lumps = self.result.lumps
+        steps = describe_steps(self.result) if lumps else []
+        return [*map(describe_lump, lumps[1:]), *steps]
 
     @property
     def facts(self) -> list[Fact]:

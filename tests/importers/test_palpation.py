@@ -87,6 +87,14 @@ def test_the_surface_and_the_block_are_where_the_contacts_are(tmp_path: Path) ->
     assert recording.presses[0].fixed[recording.mesh.points[:, 2] < low[2] + 1e-6].all()
 
 
+def test_a_block_of_unknown_depth_is_deep_for_the_ball(tmp_path: Path) -> None:
+    path = write(tmp_path / "p.csv", *table())
+    recording = import_palpation(path, radius_mm=RADIUS)
+    top, (low, _) = recording.mesh.points[:, 2].max(), recording.mesh.bounds
+    assert 6.0 * RADIUS < top - low[2] < 6.0 * RADIUS + 4.0  # the surface is not flat
+    assert recording.provenance["depth_mm"] is None
+
+
 def test_samples_clear_of_the_surface_tell_the_offset(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -34,10 +34,10 @@ CENTER, RADIUS = np.array([3.0, -2.0, -4.0]), 3.0
 DEPTHS, NOISE = (0.5, 1.0, 1.5), 0.003
 
 
-def block(edge: float) -> tuple[TetMesh, np.ndarray]:
-    counts = [round(SIZE / edge), round(SIZE / edge), round(HEIGHT / edge)]
+def block(edge: float, height: float = HEIGHT) -> tuple[TetMesh, np.ndarray]:
+    counts = [round(SIZE / edge), round(SIZE / edge), round(height / edge)]
     mesh = box_mesh(
-        (SIZE, SIZE, HEIGHT), counts, center_mm=(0.0, 0.0, -HEIGHT / 2), tets_per_cell=5
+        (SIZE, SIZE, height), counts, center_mm=(0.0, 0.0, -height / 2), tets_per_cell=5
     )
     fixed = np.zeros((mesh.n_points, 3), dtype=bool)
     fixed[face_nodes(mesh, "z-")] = True
@@ -67,8 +67,10 @@ def measured(lump: bool) -> np.ndarray:
     return indented.press(which, np.tile(DEPTHS, count)).force_n.reshape(count, -1)
 
 
-def recording(lump: bool = True, seed: int = 0, deviation_mm: float = 0.02) -> Recording:
-    mesh, fixed = block(3.0)
+def recording(
+    lump: bool = True, seed: int = 0, deviation_mm: float = 0.02, height: float = HEIGHT
+) -> Recording:
+    mesh, fixed = block(3.0, height)
     rng = np.random.default_rng(seed)
     presses = []
     for xy, forces in zip(positions(), measured(lump), strict=True):
@@ -189,6 +191,18 @@ def test_shapes_find_the_lump_and_none_where_there_is_none(with_lump: Recording)
     assert inclusion.youngs_mpa > 2.0 * BACKGROUND
     assert inclusion.probability > 0.99
     assert not find_shapes(recording(lump=False, seed=1)).inclusions
+
+
+def test_a_base_at_an_unknown_depth_is_found() -> None:
+    found = find_shapes(recording(height=24.0))
+    (step,), (inclusion,) = found.steps, found.inclusions
+    assert step.side == "z-"
+    assert step.place_90_mm.low < -HEIGHT < step.place_90_mm.high < 0.0
+    assert step.contrast_90.low > 1.5  # a base that is fixed stands for any large contrast
+    center = np.array(inclusion.shape.center_mm)
+    np.testing.assert_allclose(center[:2], CENTER[:2], atol=0.6)
+    assert center[2] == pytest.approx(CENTER[2], abs=1.5)
+    assert inclusion.probability > 0.99
 
 
 def test_some_places_are_far_from_each_other(with_lump: Recording) -> None:

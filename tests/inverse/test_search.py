@@ -12,7 +12,7 @@ from tactorch.errors import CancelledError
 from tactorch.inverse import Settings, find_shapes
 from tactorch.inverse.fields import BALL, Background, ShapeField, ShapePrior
 from tactorch.inverse.fields.tube import RING
-from tactorch.inverse.fit.shapes import ShapeFit
+from tactorch.inverse.fit.shapes import Evidence, ShapeFit
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.draft import DraftShapes
 from tactorch.inverse.search.draft_errors import DraftOptions

@@ -230,6 +230,7 @@ class Reconstruction(Displayed):
             "probability": self.probability,
             "background_mpa": self.background_mpa,
             "lumps": [lump.plain() for lump in self.lumps],
+            "steps": [step._asdict() for step in self.shapes.steps] if self.shapes else [],
         }
 
     def summary(self) -> str:

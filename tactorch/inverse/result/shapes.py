@@ -33,6 +33,24 @@ class Interval(NamedTuple):
     high: float
 
 
+class BackgroundStep(NamedTuple):
+    """A part of the background beyond a plane, with 90 % intervals.
+
+    Attributes:
+        side: Axis across the plane, and the side of it on which the part is, such as "z-".
+        place_mm: Coordinate of the plane along the axis, mm.
+        place_90_mm: Interval of it, mm.
+        contrast: Young's modulus of the part over that of the rest of the background.
+        contrast_90: Interval of it.
+    """
+
+    side: str
+    place_mm: float
+    place_90_mm: Interval
+    contrast: float
+    contrast_90: Interval
+
+
 class InclusionValues(NamedTuple):
     """An inclusion of each of several draws of the parameters of shapes."""
 
@@ -92,7 +110,7 @@ class ShapeInclusion(Summarized):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ShapeReconstruction(Displayed):
-    """Inclusions with sharp boundaries in a uniform or smooth background.
+    """Inclusions with sharp boundaries in a background, see `Background`.
 
     Values and maps are those of `estimate`, which is the centre of the posterior. Where the
     posterior is skewed, it differs from the best fit `z`, of which chi2 and predictions are.
@@ -160,7 +178,10 @@ class ShapeReconstruction(Displayed):
 
     @property
     def background_mpa(self) -> float:
-        """Young's modulus of the background, MPa; the geometric mean where it is smooth."""
+        """Young's modulus of the background, MPa.
+
+        It is the geometric mean where it is smooth, and that of the part without steps.
+        """
         return float(np.exp(self.field.physical(self.estimate)[self.field.background.level]))
 
     @cached_property
@@ -211,6 +232,20 @@ class ShapeReconstruction(Displayed):
         """The inclusions with their intervals, those of the largest log-odds first."""
         shapes = list(self.field.shapes(self.estimate))
         return [self._inclusion(k, shapes[k]) for k in self.order]
+
+    @cached_property
+    def steps(self) -> list[BackgroundStep]:
+        """The steps of the background with their intervals."""
+        background, draws = self.field.background, self.posterior.field.physical(self.samples)
+        best, found = self.field.physical(self.estimate), []
+        for k, side in enumerate(background.steps):
+            own = background.step_at(k)
+            places, logs = draws[:, own].T
+            place, log_contrast = best[own].tolist()
+            intervals = _interval(places), _interval(np.exp(logs))
+            contrast = float(np.exp(log_contrast))
+            found.append(BackgroundStep(side, place, intervals[0], contrast, intervals[1]))
+        return found
 
     @property
     def order(self) -> tuple[int, ...]:

@@ -55,9 +55,19 @@ def _finding(result: Reconstruction) -> list[str]:
         return [f"Do not trust this result: {reason}" for reason in result.reasons]
     if not result.lumps:
         modulus = f"Young's modulus is {result.background_mpa:.3g} MPa"
-        return [f"Nothing found: no lump stands out; {modulus}."]
+        return [f"Nothing found: no lump stands out; {modulus}.", *describe_steps(result)]
     first = [] if result.shapes is not None else ["In the element map:"]
-    return first + [describe_lump(lump) for lump in result.lumps]
+    return [*first, *map(describe_lump, result.lumps), *describe_steps(result)]
+
+
+def describe_steps(result: Reconstruction) -> list[str]:
+    """Return a sentence for each layer, skin or base beyond a plane."""
+    return [
+        f"Where {step.side[0]} {'<' if step.side[1] == '-' else '>'} {step.place_mm:.3g} mm, "
+        f"Young's modulus is {step.contrast:.2g} times that of the rest; 90 % intervals are "
+        f"{_span(step.place_90_mm)} mm and {_span(step.contrast_90, 2)} times."
+        for step in (result.shapes.steps if result.shapes is not None else ())
+    ]
 
 
 def headline(result: Reconstruction) -> str:
@@ -84,6 +94,8 @@ def lead(result: Reconstruction) -> str:
         return " ".join(reason[0].upper() + reason[1:] for reason in result.reasons)
     if not result.lumps:
         modulus = format_modulus(result.background_mpa)
+        if steps := describe_steps(result):
+            return " ".join([f"Young's modulus is {modulus}.", *steps])
         return f"Young's modulus is {modulus} and nearly uniform where the presses resolve it."
     lump = result.lumps[0]
     first = f"{_headline(lump)}. " if len(result.lumps) > 1 else ""

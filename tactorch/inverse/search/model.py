@@ -243,7 +243,7 @@ def start_contrast(contrast: float) -> float:
 
 def with_inclusion(
     fit: ShapeFit, family: Family, values: Float[np.ndarray, " parameters"]
-) -> tuple[ShapeField, Vector]:
+) -> tuple[ShapeField, np.ndarray]:
     """Return the model with a further inclusion, whose parameters are in mm and logarithms."""
     field = replace(fit.field, families=(*fit.field.families, family))
     return field, field.standard(np.concatenate([fit.field.physical(fit.z), values]))
@@ -256,7 +256,7 @@ def varied(field: ShapeField, z: Vector, **background: Any) -> tuple[ShapeField,
 
 def with_step(
     field: ShapeField, z: Vector, side: str, place_mm: float, log_contrast: float
-) -> tuple[ShapeField, Vector]:
+) -> tuple[ShapeField, np.ndarray]:
     """Return the model with a further step of the background, see `Background`."""
     background, end = field.background, field.n_background
     other = replace(field, background=replace(background, steps=(*background.steps, side)))

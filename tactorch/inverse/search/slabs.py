@@ -113,7 +113,7 @@ def _responses(
     return planes, data.whiten(rates * data.scale[:, None])
 
 
-def _with_step(field: ShapeField, z: Vector, slab: _Slab) -> tuple[ShapeField, Vector]:
+def _with_step(field: ShapeField, z: Vector, slab: _Slab) -> tuple[ShapeField, np.ndarray]:
     side, place = ("-", slab.high) if slab.low is None else ("+", slab.low)
     assert place is not None
     return with_step(field, z, "xyz"[slab.axis] + side, place, slab.log_contrast)

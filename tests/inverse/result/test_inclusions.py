@@ -9,10 +9,11 @@ import pytest
 
 from tactorch.inverse import Reconstruction, Status
 from tactorch.inverse.fields import BALL, ELLIPSOID, FAMILIES, ShapeField, ShapePrior
+from tactorch.inverse.fields.background import Background
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.lump import Lump
 from tactorch.inverse.result.shapes import ShapeReconstruction
-from tactorch.inverse.result.text import describe, describe_lump, headline
+from tactorch.inverse.result.text import describe, describe_lump, headline, lead
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.simulation import PressPlan, simulate
@@ -203,3 +204,25 @@ def test_errors_of_the_recording_are_noted(recording, shapes, inclusions):
     assert "by about 1% of the displacements" in finding.warnings[1]
     assert describe(finding).endswith(finding.warnings[1])
     assert finding.plain()["warnings"] == list(finding.warnings)
+
+
+@pytest.mark.parametrize("families", [(), (ELLIPSOID,)])
+def test_layers_are_described_with_their_intervals(recording, inclusions, families):
+    field = replace(FIELD, families=families, background=Background(steps=("z-", "x+")))
+    steps = [2.5, np.log(3.0), 8.0, np.log(0.5)]
+    z = field.standard(np.array([VALUES[0], *steps, *(VALUES[1:] if families else [])]))
+    posterior = ShapePosterior(field, z, np.zeros(len(z)), 1e-4 * np.eye(len(z)))
+    odds = (50.0,) * len(families)
+    shapes = ShapeReconstruction(field, z, posterior, 1.0, odds, 50.0)
+    first, last = shapes.steps
+    assert (first.side, last.side) == ("z-", "x+")
+    assert first.place_mm == pytest.approx(2.5, abs=0.01)
+    assert np.ptp(first.place_90_mm) == pytest.approx(2 * 1.645 * 0.01 * 5.0, rel=0.1)
+    assert last.contrast_90.low < last.contrast < last.contrast_90.high
+    finding = inclusions(recording, shapes)
+    text = describe(finding)
+    assert "Where z < 2.5 mm, Young's modulus is 3 times that of the rest" in text
+    assert "Where x > 8 mm, Young's modulus is 0.5 times" in text
+    assert finding.plain()["steps"][1]["side"] == "x+"
+    if not families:
+        assert "Where z < 2.5 mm" in lead(finding)

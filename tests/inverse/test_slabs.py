@@ -1,0 +1,113 @@
+"""Steps of the background and plates, from the residuals of a model without them."""
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from tactorch.inverse.fields import FAMILIES, ShapeField, ShapePrior, Sites
+from tactorch.inverse.fields.background import Background
+from tactorch.inverse.fit.settings import Settings
+from tactorch.inverse.search.base import SearchProblem
+from tactorch.inverse.search.model import Model, Start, with_step
+from tactorch.inverse.search.problem import ShapeProblem
+from tactorch.inverse.search.proposals import changed
+from tactorch.inverse.search.slabs import (
+    crosses,
+    inclusions_as_steps,
+    simpler_background,
+    slabs,
+)
+from tactorch.mesh import Box, box_mesh
+from tactorch.phantoms import Layers, Phantom
+from tactorch.simulation import PressPlan, simulate
+
+MESH = box_mesh(10.0, 4, tets_per_cell=5)
+PRIOR = ShapePrior.of(MESH, 0.2)
+BODY = Box((5.0, 5.0, 5.0), (10.0, 10.0, 10.0))
+POINTS = Sites.at(np.random.default_rng(0).uniform(0.0, 10.0, (500, 3)))
+
+
+def proposed(youngs: Layers) -> tuple[ShapeProblem, Model, dict[str, Start]]:
+    """Return what is proposed beside a uniform background, by the family of inclusions."""
+    fine = box_mesh(10.0, 7, tets_per_cell=5)
+    plan = PressPlan(("z+", "x+"), (0.01, 0.02))
+    recording = simulate(
+        Phantom(BODY, (), youngs), plan, mesh=MESH, fine_mesh=fine, element="tet10", snr_db=40.0
+    )
+    problem = ShapeProblem(recording, Settings(), max_shapes=2)
+    model = problem.uniform()
+    starts = {"cuboid" if s.field.families else "step": s for s in slabs(problem, model)}
+    return problem, model, starts
+
+
+def test_a_skin_is_proposed_as_a_step() -> None:
+    _, _, starts = proposed(Layers((7.1,), (0.2, 0.5)))
+    start = starts["step"]
+    assert start.field.background.steps == ("z+",)
+    place, contrast = start.field.physical(start.z)[1:]
+    assert place == pytest.approx(7.1, abs=1.3)  # half an element
+    assert contrast > 0.0
+
+
+def test_a_layer_between_two_planes_is_proposed_as_a_plate() -> None:
+    problem, model, starts = proposed(Layers((2.9, 5.7), (0.2, 0.6, 0.2)))
+    start = starts["cuboid"]
+    (shape,) = start.field.shapes(start.z)
+    low, high = (shape.center_mm[2] + sign * shape.half_size_mm[2] for sign in (-1.0, 1.0))
+    assert [low, high] == pytest.approx([2.9, 5.7], abs=1.3)
+    assert shape.contrast > 1.0
+    assert crosses(shape, PRIOR)
+    problem.max_shapes = 0
+    assert not any(start.field.families for start in slabs(problem, model))
+
+
+def plates(*values: Sequence[float]) -> Mock:
+    """Return a model of plates across z, by centre, half the thickness and log-contrast."""
+    cuboid, parts = FAMILIES["cuboid"], [np.array([np.log(0.2)])]
+    field = ShapeField(PRIOR, (cuboid,) * len(values))
+    for x, y, z, half_width, contrast in values:
+        half = np.array([half_width, half_width, 1.2])
+        logs = np.log(half / np.cbrt(half.prod()))
+        ratios = np.tensordot(cuboid.basis, np.diag(logs))
+        log_radius = np.log(6.0 / np.pi * half.prod()) / 3.0
+        parts.append(np.array([x, y, z, log_radius, contrast, *ratios, 0.0, 0.0, 0.0]))
+    fit = SimpleNamespace(field=field, z=field.standard(np.concatenate(parts)))
+    return Mock(spec=Model, fit=fit, errors={})
+
+
+def test_a_plate_at_an_end_is_tried_as_a_step() -> None:
+    at_end = [5.0, 5.0, 1.1, 4.6, np.log(2.0)]
+    inside, narrow = [5.0, 5.0, 5.0, 4.6, -0.4], [5.0, 5.0, 1.1, 3.0, 0.4]
+    problem = Mock(spec=SearchProblem, step_axes=(0, 1, 2))
+    (start,) = inclusions_as_steps(problem, plates(at_end, inside, narrow))
+    assert start.what == "inclusion 0 as a step"
+    assert start.field.background.steps == ("z-",)
+    assert len(start.field.families) == 2
+    place, contrast = start.field.physical(start.z)[1:3]
+    assert place == pytest.approx(2.3)
+    assert contrast == pytest.approx(np.log(2.0))
+    assert not [*inclusions_as_steps(Mock(spec=SearchProblem, step_axes=(0,)), plates(at_end))]
+
+
+def test_plates_are_not_tried_as_other_forms() -> None:
+    problem = Mock(spec=SearchProblem, forms=("cuboid", "ring"))
+    assert not [*changed(problem, plates([5.0, 5.0, 1.1, 4.6, 0.7]))]
+    (start,) = changed(problem, plates([5.0, 5.0, 4.0, 3.0, 0.7]))
+    assert start.field.families[0].name == "ring"
+
+
+def test_each_step_of_a_background_is_tried_without() -> None:
+    field = ShapeField(PRIOR, (), Background(degree=1))
+    z = field.standard(np.array([np.log(0.2), 0.1, -0.2, 0.3]))
+    once = with_step(field, z, "z-", 3.0, 0.5)
+    both = with_step(*once, "x+", 7.0, -0.3)
+    model = Mock(spec=Model, fit=SimpleNamespace(field=both[0], z=both[1]), errors={})
+    first, last = simpler_background(Mock(spec=SearchProblem), model)
+    logs = last.field.log_youngs(last.z, POINTS)
+    np.testing.assert_allclose(logs, once[0].log_youngs(once[1], POINTS))
+    logs = first.field.log_youngs(first.z, POINTS)
+    expected = with_step(field, z, "x+", 7.0, -0.3)
+    np.testing.assert_allclose(logs, expected[0].log_youngs(expected[1], POINTS))
