@@ -2,7 +2,7 @@
 
     tactorch import format=published path=FOLDER out=FILE.h5
     tactorch import path=box-torus out=torus.h5 "format.relabel_truth={3.0: 1.5}"
-    tactorch import format=palpation path=palpation.csv out=palpation.h5 format.depth_mm=20
+    tactorch import format=palpation path=palpation.csv out=palpation.h5
     tactorch import format=ros2 path=session.mcap out=palpation.h5 format.radius_mm=3
 
 Presses, supports and truth of the files are checked before the recording is written.

@@ -53,7 +53,7 @@ _DEEP = 0.5  # depth of a ball over that of the object there, from which a messa
 # Depth of a block whose depth is not known, over the radius of the ball: its bottom adds 15 % to
 # the force of a ball that is pressed in by half its radius (E. K. Dimitriadis et al., Biophys. J.
 # 82 (2002), 2798-2810).
-_FELT = 6.0
+_INSENSITIVE = 6.0
 _OTHER_CONTACT = 0.5  # distance of contacts from those of the file, over the ball's radius
 
 
@@ -154,8 +154,8 @@ class PalpationSettings(Options):
         return f"convert the messages, whose unit of {what} is m or N"
 
     def _depth_mm(self, radius_mm: float) -> float:
-        """Return the depth of the block, which a ball hardly feels where it is not stated."""
-        return _FELT * radius_mm if self.depth_mm is None else self.depth_mm
+        """Return the depth of the block, to which a ball is little sensitive where it is not stated."""
+        return _INSENSITIVE * radius_mm if self.depth_mm is None else self.depth_mm
 
     def _turn(self) -> Float[np.ndarray, "3 3"]:
         """Return the rotation of the axes of the file to those whose z points out."""
