@@ -154,7 +154,7 @@ class PalpationSettings(Options):
         return f"convert the messages, whose unit of {what} is m or N"
 
     def _depth_mm(self, radius_mm: float) -> float:
-        """Return the depth of the block, to which a ball is little sensitive where it is not stated."""
+        """Return the depth of the block, which is large for the ball where it is not stated."""
         return _INSENSITIVE * radius_mm if self.depth_mm is None else self.depth_mm
 
     def _turn(self) -> Float[np.ndarray, "3 3"]:

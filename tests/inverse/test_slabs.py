@@ -7,13 +7,14 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from tactorch.inverse.fields import FAMILIES, ShapeField, ShapePrior, Sites
+from tactorch.inverse.fields import BALL, FAMILIES, ShapeField, ShapePrior, Sites
 from tactorch.inverse.fields.background import Background
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import Model, Start, with_step
 from tactorch.inverse.search.problem import ShapeProblem
 from tactorch.inverse.search.proposals import changed
+from tactorch.inverse.search.search import _log_odds
 from tactorch.inverse.search.slabs import (
     crosses,
     inclusions_as_steps,
@@ -21,7 +22,7 @@ from tactorch.inverse.search.slabs import (
     slabs,
 )
 from tactorch.mesh import Box, box_mesh
-from tactorch.phantoms import Layers, Phantom
+from tactorch.phantoms import Gradient, Layers, Phantom
 from tactorch.simulation import PressPlan, simulate
 
 MESH = box_mesh(10.0, 4, tets_per_cell=5)
@@ -30,7 +31,7 @@ BODY = Box((5.0, 5.0, 5.0), (10.0, 10.0, 10.0))
 POINTS = Sites.at(np.random.default_rng(0).uniform(0.0, 10.0, (500, 3)))
 
 
-def proposed(youngs: Layers) -> tuple[ShapeProblem, Model, dict[str, Start]]:
+def proposed(youngs: Layers | Gradient) -> tuple[ShapeProblem, Model, dict[str, Start]]:
     """Return what is proposed beside a uniform background, by the family of inclusions."""
     fine = box_mesh(10.0, 7, tets_per_cell=5)
     plan = PressPlan(("z+", "x+"), (0.01, 0.02))
@@ -111,3 +112,18 @@ def test_each_step_of_a_background_is_tried_without() -> None:
     logs = first.field.log_youngs(first.z, POINTS)
     expected = with_step(field, z, "x+", 7.0, -0.3)
     np.testing.assert_allclose(logs, expected[0].log_youngs(expected[1], POINTS))
+
+
+def test_an_inclusion_in_place_of_a_smooth_background_is_not_probable() -> None:
+    """A large ball explains a body that is stiffer at one side better than a uniform one."""
+    gradient = Gradient((0.0, 0.0, 0.0), (10.0, 0.0, 10.0), 0.15, 0.3)
+    problem, uniform, _ = proposed(gradient)
+    field = ShapeField(problem.prior, (BALL,))
+    ball = np.array([np.log(0.2), 9.0, 5.0, 9.0, np.log(4.0), 0.5])
+    model = problem.fit(Start("ball", field, field.standard(ball), {}), None)
+    plain, smooth = problem.without(model, [0])
+    assert problem.gain(model.fit, plain) > 3.0
+    assert problem.gain(model.fit, uniform.fit) > 3.0
+    assert problem.gain(model.fit, smooth) < -3.0
+    (odds,), odds_any = _log_odds(problem, model)
+    assert odds == odds_any < -3.0

@@ -26,7 +26,7 @@ from tactorch.inverse.search.model import (
     Start,
     falls_short,
     gain,
-    less,
+    rivals,
     with_ball,
 )
 
@@ -252,9 +252,11 @@ class SearchProblem(ABC):
             max_iterations=self.trial_steps, tolerance=FINE, give_up=self._never,
         )[0]  # fmt: skip
 
-    def without(self, model: Model, removed: Sequence[int]) -> Evidence:
-        """Return the evidence of a final model without some inclusions, by the reduced model."""
-        return self.try_model(less(model, removed), self.offsets(model))
+    def without(self, model: Model, removed: Sequence[int]) -> Iterator[Evidence]:
+        """Yield the evidence of `rivals` of a final model, by the reduced model."""
+        offsets = self.offsets(model)
+        for rival in rivals(model, removed):
+            yield self.try_model(rival, offsets)
 
     def offsets(self, model: Model) -> list[np.ndarray]:
         """Return predictions of the reduced model less those of the full one at a model."""

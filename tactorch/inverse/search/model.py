@@ -269,6 +269,14 @@ def less(model: Model, removed: Sequence[int]) -> Start:
     return Start(what, *replaced(model, removed, (), []), model.errors)
 
 
+def rivals(model: Model, removed: Sequence[int]) -> list[Start]:
+    """Return the model without some of its inclusions, and so with the next smooth background."""
+    start = less(model, removed)
+    degrees = [d for d in DEGREES if d > start.field.background.degree][:1]
+    smooth = [varied(start.field, start.z, degree=degree) for degree in degrees]
+    return [start, *(replace(start, field=field, z=z) for field, z in smooth)]
+
+
 def as_one(model: Model, inclusions: Sequence[int], family: Family) -> Start:
     """Return a model with one inclusion of a family in place of some of its inclusions."""
     shapes = list(model.fit.field.shapes(model.fit.z))

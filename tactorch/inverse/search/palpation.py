@@ -26,7 +26,7 @@ from tactorch.inverse.forward.reduced import ReducedProblem
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.search.base import ROUGH, SearchProblem
 from tactorch.inverse.search.matched import MatchedFilter
-from tactorch.inverse.search.model import MIN_GAIN, Model, Start, less, make_posterior
+from tactorch.inverse.search.model import MIN_GAIN, Model, Start, make_posterior, rivals
 from tactorch.inverse.search.proposals import backgrounds, changed, further, other_errors
 from tactorch.inverse.search.slabs import simpler_background, slabs
 from tactorch.mesh.geometry import farthest_point_order
@@ -116,13 +116,14 @@ class PalpationSearch(SearchProblem):
         self._linearise_about(model.evaluation)
         return model
 
-    def without(self, model: Model, removed: Sequence[int]) -> Evidence:
-        """Return the evidence of a final model without some inclusions.
+    def without(self, model: Model, removed: Sequence[int]) -> Iterator[Evidence]:
+        """Yield the evidence of `rivals` of a final model.
 
-        It is that of a fit with `full`, as the reduced model is linearised about the inclusions,
-        which ends where it is certain that the model has much more.
+        They are fitted with `full`, as the reduced model is linearised about the inclusions, as far
+        as it is not certain that the model has much more evidence.
         """
-        return self.challenge(less(model, removed), model, _CERTAIN).fit
+        for rival in rivals(model, removed):
+            yield self.challenge(rival, model, _CERTAIN).fit
 
     def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
         return model, make_posterior(model, self.sites)

@@ -291,13 +291,13 @@ def _challenge(
 
 
 def _log_odds(problem: SearchProblem, model: Model) -> tuple[tuple[float, ...], float]:
-    """Return the log-evidence of a model over those without an inclusion, or without any."""
+    """Return the log-evidence of a model over the best one without an inclusion, or without any."""
     fit, count = model.fit, len(model.fit.field.parts)
     inflation = max(1.0, fit.chi2)
 
     def over(removed: Sequence[int]) -> float:
-        rival = problem.without(model, removed)
-        return min(fit.log_evidence(inflation) - rival.log_evidence(inflation), MAX_LOG_ODDS)
+        others = [one.log_evidence(inflation) for one in problem.without(model, removed)]
+        return min(fit.log_evidence(inflation) - max(others), MAX_LOG_ODDS)
 
     each = tuple(over([k]) for k in range(count))
     return each, (each[0] if count == 1 else over(range(count)) if count else 0.0)
