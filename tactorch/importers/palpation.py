@@ -50,10 +50,10 @@ from tactorch.recording import ForceReading, MaterialSpec, Press, ProbePose, Rec
 _log = logging.getLogger(__name__)
 _MIN_LOST = 0.05  # share of the work that is not given back, from which a message states it
 _DEEP = 0.5  # depth of a ball over that of the object there, from which a message states it
-# Depth of a block whose depth is not known, over the radius of the ball: its bottom adds 15 % to
+# Depth of a block whose depth is not known, over the radius of the ball: its bottom adds 19 % to
 # the force of a ball that is pressed in by half its radius (E. K. Dimitriadis et al., Biophys. J.
 # 82 (2002), 2798-2810).
-_INSENSITIVE = 6.0
+_INSENSITIVE = 5.0
 _OTHER_CONTACT = 0.5  # distance of contacts from those of the file, over the ball's radius
 
 
@@ -69,7 +69,7 @@ class PalpationSettings(Options):
     depth_mm: float | None = option(
         None,
         "Depth of the object's bottom below the lowest contact; null: not known, so that the "
-        "search finds a stiff base where the forces show one, in a block of 6 radii of the ball",
+        "search finds a stiff base where the forces show one, in a block of 5 radii of the ball",
         unit="mm",
         gt=0,
     )
