@@ -10,7 +10,15 @@ import pytest
 
 from tactorch.errors import CancelledError
 from tactorch.inverse import Settings, find_shapes
-from tactorch.inverse.fields import BALL, Background, ShapeField, ShapePrior
+from tactorch.inverse.fields import (
+    BALL,
+    ELLIPSOID,
+    FAMILIES,
+    Background,
+    Candidate,
+    ShapeField,
+    ShapePrior,
+)
 from tactorch.inverse.fields.tube import RING
 from tactorch.inverse.fit.shapes import Evidence, ShapeFit
 from tactorch.inverse.search.base import SearchProblem
@@ -18,7 +26,7 @@ from tactorch.inverse.search.draft import DraftShapes
 from tactorch.inverse.search.draft_errors import DraftOptions
 from tactorch.inverse.search.model import Model, Proposal, Start, gain, noise_weights
 from tactorch.inverse.search.problem import ShapeProblem
-from tactorch.inverse.search.proposals import _by_kind, _kind, propose
+from tactorch.inverse.search.proposals import _by_kind, _further_beside, _kind, propose
 from tactorch.inverse.search.search import _accept
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
@@ -114,7 +122,7 @@ def _proposal(what: str, promise: float, model: Mock, **changes: Any) -> Proposa
 def model() -> Mock:
     """A model of one ball in a uniform background."""
     field = ShapeField(ShapePrior.of(MESH, 0.2), (BALL,))
-    fit = Mock(field=field, residuals=np.zeros(4), complexity=0.0)
+    fit = Mock(spec=ShapeFit, field=field, residuals=np.zeros(4), complexity=0.0)
     return Mock(spec=Model, fit=fit, errors={})
 
 
@@ -129,6 +137,29 @@ def test_the_best_of_each_kind_are_tried_first(model: Mock) -> None:
     ]
     order = [proposal.what for proposal in _by_kind(proposals)]
     assert order == ["one place", "a ring", "smooth", "another place", "a third place"]
+
+
+def test_a_further_inclusion_is_tried_beside_other_forms(model: Mock) -> None:
+    proposals = [
+        _proposal("a further ball", 40.0, model, families=(BALL, BALL)),
+        _proposal("a ring", 20.0, model, families=(RING,)),
+        _proposal("an ellipsoid", 30.0, model, families=(ELLIPSOID,)),
+        _proposal("a rod", 10.0, model, families=(FAMILIES["rod"],)),
+        _proposal("smooth", 50.0, model, background=Background(2)),
+    ]
+    for proposal in proposals:
+        proposal.trial.field, proposal.trial.z = proposal.field, proposal.z
+    problem = Mock(spec=SearchProblem, groups=None, forms=("ring",), max_shapes=2)
+    found = Candidate(np.full(3, 4.0), 1.0, 0.5, 20.0, np.zeros(3))
+    problem.filter.return_value.best.return_value = [found]
+    starts = [*_further_beside(problem, model, proposals)]
+    assert [start.field.families for start in starts] == [(ELLIPSOID, BALL), (RING, BALL)]
+    np.testing.assert_allclose(starts[0].field.physical(starts[0].z)[-5:-2], 4.0)
+    problem.filter.return_value.best.return_value = [found._replace(gain=1.0)]
+    assert not [*_further_beside(problem, model, proposals)]
+    problem.filter.return_value.best.return_value = [found]
+    problem.max_shapes = 1
+    assert not [*_further_beside(problem, model, proposals)]
 
 
 @pytest.mark.parametrize(
