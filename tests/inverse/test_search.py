@@ -148,7 +148,8 @@ def test_a_further_inclusion_is_tried_beside_other_forms(model: Mock) -> None:
         _proposal("smooth", 50.0, model, background=Background(2)),
     ]
     for proposal in proposals:
-        proposal.trial.field, proposal.trial.z = proposal.field, proposal.z
+        fitted = {"field": proposal.field, "z": proposal.z, "jacobian": np.zeros((4, 1))}
+        proposal.trial.configure_mock(**fitted)
     problem = Mock(spec=SearchProblem, groups=None, forms=("ring",), max_shapes=2)
     found = Candidate(np.full(3, 4.0), 1.0, 0.5, 20.0, np.zeros(3))
     problem.filter.return_value.best.return_value = [found]
