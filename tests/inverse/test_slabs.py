@@ -82,7 +82,7 @@ def plates(*values: Sequence[float]) -> Mock:
 def test_a_plate_at_an_end_is_tried_as_a_step() -> None:
     at_end = [5.0, 5.0, 1.1, 4.6, np.log(2.0)]
     inside, narrow = [5.0, 5.0, 5.0, 4.6, -0.4], [5.0, 5.0, 1.1, 3.0, 0.4]
-    problem = Mock(spec=SearchProblem, step_axes=(0, 1, 2))
+    problem = Mock(spec=SearchProblem, step_sides=SearchProblem.step_sides)
     (start,) = inclusions_as_steps(problem, plates(at_end, inside, narrow))
     assert start.what == "inclusion 0 as a step"
     assert start.field.background.steps == ("z-",)
@@ -90,7 +90,9 @@ def test_a_plate_at_an_end_is_tried_as_a_step() -> None:
     place, contrast = start.field.physical(start.z)[1:3]
     assert place == pytest.approx(2.3)
     assert contrast == pytest.approx(np.log(2.0))
-    assert not [*inclusions_as_steps(Mock(spec=SearchProblem, step_axes=(0,)), plates(at_end))]
+    assert not [
+        *inclusions_as_steps(Mock(spec=SearchProblem, step_sides=("z+", "x-")), plates(at_end))
+    ]
 
 
 def test_plates_are_not_tried_as_other_forms() -> None:

@@ -62,7 +62,7 @@ class SearchProblem(ABC):
         errors: Errors of the data that occur.
         proposals: Sources of models.
         forms: Families as which inclusions are tried that are no balls.
-        step_axes: Axes across which the background may have steps.
+        step_sides: Sides of the body at which steps of the background may end.
         max_shapes: Largest number of inclusions.
         max_fits: Largest number of proposals from one model that are fitted with `full`.
         rival_share: Part of the gain that the best proposal promises, beyond which one of another
@@ -82,7 +82,7 @@ class SearchProblem(ABC):
     errors: ErrorModel
     proposals: Sequence[Proposals]
     forms: Sequence[str] = ()
-    step_axes: Sequence[int] = (0, 1, 2)
+    step_sides: Sequence[str] = ("x-", "x+", "y-", "y+", "z-", "z+")
     max_fits: ClassVar[int] = 4
     rival_share: ClassVar[float] = 0.1
     tolerance: float = ROUGH

@@ -82,7 +82,8 @@ class PalpationSearch(SearchProblem):
         self.errors = ErrorModel(MeasuredPresses(self.full), ERRORS)
         self._linearise_about(self.full.evaluate(np.full(self.sites.shape, self.full.contact_mpa)))
         normal = np.mean([place.normal for place in self.full.indentation.places], axis=0)
-        self.step_axes = (int(np.argmax(np.abs(normal))),)
+        axis = int(np.argmax(np.abs(normal)))
+        self.step_sides = ("xyz"[axis] + ("-" if normal[axis] > 0.0 else "+"),)  # the base
         prior = ShapePrior.of(recording.mesh, self.full.contact_mpa)
         self.prior = replace(prior, outside_mm=_OUTSIDE_MM)
         self.min_gain = _MIN_GAIN * len(recording.presses) / len(self.full.indentation.places)

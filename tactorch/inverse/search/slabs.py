@@ -48,11 +48,11 @@ def slabs(problem: SearchProblem, model: Model) -> Iterator[Start]:
     residuals = data.whiten(problem.raw(model).residuals)
     found = [
         slab
-        for axis in problem.step_axes
+        for axis in sorted({"xyz".index(side[0]) for side in problem.step_sides})
         for slab in _slabs(axis, *_responses(problem, data, axis), residuals, basis)
     ]
     thin = [slab for slab in found if slab.gain >= MIN_CANDIDATE_GAIN]
-    steps = [slab for slab in thin if slab.is_at_end]
+    steps = [slab for slab in thin if slab.side in problem.step_sides]
     if steps and len(field.background.steps) < _MAX_STEPS:
         best = max(steps, key=lambda slab: slab.gain)
         yield Start(f"step, {best.what}", *_with_step(field, model.fit.z, best), model.errors)
@@ -70,8 +70,11 @@ class _Slab(NamedTuple):
     gain: float  # linearised
 
     @property
-    def is_at_end(self) -> bool:
-        return (self.low is None) != (self.high is None)
+    def side(self) -> str | None:
+        """Side of the body at which it ends, if that is one."""
+        if (self.low is None) == (self.high is None):
+            return None
+        return "xyz"[self.axis] + ("-" if self.low is None else "+")
 
     @property
     def what(self) -> str:
@@ -114,9 +117,9 @@ def _responses(
 
 
 def _with_step(field: ShapeField, z: Vector, slab: _Slab) -> tuple[ShapeField, np.ndarray]:
-    side, place = ("-", slab.high) if slab.low is None else ("+", slab.low)
-    assert place is not None
-    return with_step(field, z, "xyz"[slab.axis] + side, place, slab.log_contrast)
+    place = slab.high if slab.low is None else slab.low
+    assert slab.side is not None and place is not None
+    return with_step(field, z, slab.side, place, slab.log_contrast)
 
 
 def crosses(shape: InclusionShape, prior: ShapePrior) -> bool:
@@ -130,7 +133,7 @@ def inclusions_as_steps(problem: SearchProblem, model: Model) -> Iterator[Start]
     for k, shape in enumerate(fit.field.shapes(fit.z)):
         if fit.field.families[k].name == "cuboid" and crosses(shape, fit.field.prior):
             slab = _slab_like(shape, fit.field.prior)
-            if slab.is_at_end and slab.axis in problem.step_axes:
+            if slab.side in problem.step_sides:
                 step = _with_step(*replaced(model, [k], (), []), slab)
                 yield Start(f"inclusion {k} as a step", *step, model.errors)
 
