@@ -118,7 +118,8 @@ def _responses(
 
 def _with_step(field: ShapeField, z: Vector, slab: _Slab) -> tuple[ShapeField, np.ndarray]:
     place = slab.high if slab.low is None else slab.low
-    assert slab.side is not None and place is not None
+    assert slab.side is not None
+    assert place is not None
     return with_step(field, z, slab.side, place, slab.log_contrast)
 
 
