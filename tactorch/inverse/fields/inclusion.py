@@ -83,6 +83,16 @@ class Cloud(NamedTuple):
         axes = axes.T[::-1] * np.linalg.det(axes.T[::-1])
         return np.sqrt(np.maximum(squares[::-1], _MIN_VARIANCE)), axes
 
+    def halves(self) -> "tuple[Cloud, Cloud]":
+        """Return the points on either side of the centre along the first principal axis."""
+        along = (self.points - self.center) @ self.principal()[1][0]
+        log_radius = self.log_radius - np.log(2.0) / 3.0
+        first, last = (
+            self._replace(points=self.points[side], log_radius=log_radius)
+            for side in (along <= 0.0, along >= 0.0)
+        )
+        return first, last
+
 
 @dataclass(frozen=True)
 class InclusionShape:

@@ -32,6 +32,7 @@ from tactorch.inverse.search.proposals import (
     joined,
     other_errors,
     removed,
+    split,
 )
 from tactorch.inverse.search.slabs import inclusions_as_steps, simpler_background, slabs
 from tactorch.recording import Recording
@@ -57,7 +58,7 @@ class ShapeProblem(SearchProblem):
 
     proposals = (
         other_errors, further, backgrounds, slabs, simpler_background, removed, changed, joined,
-        inclusions_as_steps,
+        split, inclusions_as_steps,
     )  # fmt: skip
     forms = "ellipsoid", "cuboid", "rod", "tapered rod", "bent rod", "ring"
     trial_steps = 20  # a form starts far from its best fit

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from tactorch.inverse.errors import Levels
-from tactorch.inverse.fields import FAMILIES, InclusionShape
+from tactorch.inverse.fields import FAMILIES, Cloud, InclusionShape
 from tactorch.inverse.fields.family import families_beyond
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import (
@@ -23,6 +23,7 @@ from tactorch.inverse.search.model import (
     less,
     moderate,
     noise_weights,
+    replaced,
     varied,
     weighted_gain,
     with_ball,
@@ -238,6 +239,18 @@ def joined(problem: SearchProblem, model: Model) -> Iterator[Start]:
         if (all(stiffer) or not any(stiffer)) and _are_near(parts):
             for name in problem.forms:
                 yield as_one(model, group, FAMILIES[name])
+
+
+def split(problem: SearchProblem, model: Model) -> Iterator[Start]:
+    """Yield the model with each inclusion that is no ball as two balls, along its longest axis."""
+    fit, ball = model.fit, FAMILIES["ball"]
+    if len(fit.field.families) >= problem.max_shapes:
+        return
+    for k, shape in enumerate(fit.field.shapes(fit.z)):
+        if fit.field.families[k] is not ball and not crosses(shape, fit.field.prior):
+            halves = Cloud.of([shape]).halves()
+            added = replaced(model, [k], (ball, ball), [ball.like(half) for half in halves])
+            yield Start(f"inclusion {k} as two balls", *added, model.errors)
 
 
 def _are_near(shapes: Sequence[InclusionShape]) -> bool:
