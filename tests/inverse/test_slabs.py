@@ -13,7 +13,7 @@ from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import Model, Start, with_step
 from tactorch.inverse.search.problem import ShapeProblem
-from tactorch.inverse.search.proposals import changed
+from tactorch.inverse.search.proposals import changed, split
 from tactorch.inverse.search.search import _log_odds
 from tactorch.inverse.search.slabs import (
     crosses,
@@ -100,6 +100,23 @@ def test_plates_are_not_tried_as_other_forms() -> None:
     assert not [*changed(problem, plates([5.0, 5.0, 1.1, 4.6, 0.7]))]
     (start,) = changed(problem, plates([5.0, 5.0, 4.0, 3.0, 0.7]))
     assert start.field.families[0].name == "ring"
+
+
+def test_an_inclusion_is_tried_as_two_balls_along_its_longest_axis() -> None:
+    problem = Mock(spec=SearchProblem, max_shapes=2)
+    model = plates([5.0, 4.0, 4.0, 3.0, 0.7])
+    (start,) = split(problem, model)
+    assert start.field.families == (BALL, BALL)
+    (whole,), (first, last) = model.fit.field.shapes(model.fit.z), start.field.shapes(start.z)
+    apart = np.array(last.center_mm) - first.center_mm
+    assert np.linalg.norm(apart) == pytest.approx(3.0, rel=0.1)  # halves of 6 mm
+    assert abs(apart[2]) < 0.2  # across the thickness
+    middle = 0.5 * (np.array(first.center_mm) + last.center_mm)
+    np.testing.assert_allclose(middle, whole.center_mm, atol=0.2)
+    assert 2.0 * first.radius_mm**3 == pytest.approx(whole.radius_mm**3)
+    assert first.contrast == pytest.approx(whole.contrast)
+    problem.max_shapes = 1
+    assert not [*split(problem, model)]
 
 
 def test_each_step_of_a_background_is_tried_without() -> None:
