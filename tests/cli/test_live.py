@@ -93,8 +93,9 @@ def test_shapes_are_found_and_shown(tactorch: Callable[..., Any], recording_file
     assert finding["probability"] is not None
     assert "press 2, shapes: " in done.out
     page = Path("run/live.html").read_text()
+    forms = [lump["form"] for lump in finding["lumps"]]  # of so coarse a mesh, any
     texts = {
-        "found": " lump at (",
+        "found": f" {' '.join(forms[:1])} at (",
         "nothing found": "Nothing found",
         "cannot tell": "Do not trust this result",
     }
