@@ -18,7 +18,7 @@ first sample and the stiffness of a probe fit the force on a ball in a half-spac
 clear of the surface give the offset of the force sensor for each probe
 (`tactorch.importers.offsets`); without any it is taken as zero, which shifts all depths by about as
 much. The object is a block below the surface through the contacts. Its depth is stated where it is
-known; otherwise the block is deep, and a search may find a stiff base in it.
+known; otherwise it is five radii of the ball, and a search may find a stiff base above its bottom.
 """
 
 import logging
@@ -53,7 +53,7 @@ _DEEP = 0.5  # depth of a ball over that of the object there, from which a messa
 # Depth of a block whose depth is not known, over the radius of the ball: its bottom adds 19 % to
 # the force of a ball that is pressed in by half its radius (E. K. Dimitriadis et al., Biophys. J.
 # 82 (2002), 2798-2810).
-_INSENSITIVE = 5.0
+_DEPTH_PER_RADIUS = 5.0
 _OTHER_CONTACT = 0.5  # distance of contacts from those of the file, over the ball's radius
 
 
@@ -154,8 +154,8 @@ class PalpationSettings(Options):
         return f"convert the messages, whose unit of {what} is m or N"
 
     def _depth_mm(self, radius_mm: float) -> float:
-        """Return the depth of the block, which is large for the ball where it is not stated."""
-        return _INSENSITIVE * radius_mm if self.depth_mm is None else self.depth_mm
+        """Return the depth of the block, as stated or by the radius of the ball."""
+        return _DEPTH_PER_RADIUS * radius_mm if self.depth_mm is None else self.depth_mm
 
     def _turn(self) -> Float[np.ndarray, "3 3"]:
         """Return the rotation of the axes of the file to those whose z points out."""
@@ -171,19 +171,20 @@ class PalpationSettings(Options):
         np.maximum.at(deepest, samples.probe, samples.advance_mm)
         deepest += contacts.depth_mm
         heights = contacts.points_mm[:, 2]
-        below = deepest - (heights - heights.min() + self._depth_mm(samples.radius_mm))
+        depth_mm = self._depth_mm(samples.radius_mm)
+        below = deepest - (heights - heights.min() + depth_mm)
         if self.mesh is None and below.max() >= 0.0:
             raise FileError(
                 f"'{source}': probe '{samples.names[below.argmax()]}' is pressed in by "
                 f"{deepest[below.argmax()]:.3g} mm, more than the object is deep; give the depth of"
-                f" its bottom in mm (format.depth_mm={self.depth_mm})."
+                f" its bottom in mm (format.depth_mm={depth_mm:g})."
             )
         shares = deepest / (deepest - below)
         if self.mesh is None and shares.max() > _DEEP:
             _log.warning(
                 "'%s': probe '%s' is pressed in by %.0f %% of the depth of the object, where "
-                "forces of small strains are wrong; check format.depth_mm=%s.",
-                source, samples.names[shares.argmax()], 100.0 * shares.max(), self.depth_mm,
+                "forces of small strains are wrong; check format.depth_mm=%g.",
+                source, samples.names[shares.argmax()], 100.0 * shares.max(), depth_mm,
             )  # fmt: skip
         if self.radius_mm is None and rows.contacts_mm is not None:
             labels = {label: i for i, label in enumerate(rows.labels.tolist())}

@@ -32,11 +32,6 @@ class Background:
     steps: tuple[str, ...] = ()
     level: ClassVar[int] = 0  # place of the constant
 
-    @property
-    def is_uniform(self) -> bool:
-        """Whether the background is a constant."""
-        return not (self.degree or self.steps)
-
     @cached_property
     def modes(self) -> Float[np.ndarray, "modes 3"]:
         """Degrees along x, y and z of each mode."""
