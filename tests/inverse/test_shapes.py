@@ -534,7 +534,10 @@ def test_layers_are_no_inclusions():
     recording = simulate(phantom, PLAN, mesh=MESH, fine_mesh=fine, element="tet10", snr_db=40.0)
     result = find_shapes(recording, max_shapes=2)
     assert result.inclusions == []
-    assert {side[0] for side in result.field.background.steps} == {"z"}
+    assert {step.side[0] for step in result.steps} == {"z"}
+    assert sorted(step.place_mm for step in result.steps) == pytest.approx(
+        [10 / 3, 20 / 3], abs=0.5
+    )
     heights = np.linspace(0.3, 9.7, 50)
     points = np.column_stack([np.full((50, 2), 5.0), heights])
     assert np.corrcoef(result.youngs_at(points), phantom.youngs_at(points))[0, 1] > 0.9
