@@ -54,9 +54,11 @@ from tactorch.simulation.plan import PressSite
 FORMAT = 3  # of the cached recordings; raised when their computation changes
 VOXELS = 36
 N_RANDOM = 150  # objects of random shape
+N_DOUBTFUL = 200  # cubes of which every second has a ball
 MATERIAL = MaterialSpec("neo_hookean", 0.45)
 SPRING_N_PER_MM = 1.0  # of each supported node of the recording's mesh
 FORCE_ERROR, MISPLACEMENT_MM = 0.05, 0.3
+WRONG_DEPTH, WRONG_POISSON = 1.1, 0.40  # depth over that of the object, and Poisson's ratio
 LUMP_PER_RADIUS = 0.4  # edge length of the truth mesh at a lump, over its smallest half-width
 # Edge length of the truth mesh at sharp edges, over the body's size: where a supported face ends
 # the strain is singular.
@@ -305,8 +307,9 @@ class Case:
         object: Key of `OBJECTS`.
         presses: Key of `PRESSES`.
         snr_db: Signal-to-noise ratio of each press.
-        fault: "forces" (each press' forces wrong by a random factor), "places" (presses misplaced)
-            or "".
+        fault: "forces" (each press' forces wrong by a random factor), "places" (presses misplaced),
+            "depth" (the recording's mesh is too deep), "poisson" (its Poisson's ratio is wrong) or
+            "".
         held_out: Whether the case belongs to the set that is run at the end only.
         seed: Seed of noise and fault.
     """
@@ -447,6 +450,29 @@ def _random(seed: int) -> Callable[[], Body]:
     return body
 
 
+def _doubtful(seed: int) -> Callable[[], Body]:
+    """Return a cube with a ball of any size and modulus, or for even seeds without any.
+
+    Its modulus is uniform, linear, or a smooth random field.
+    """
+
+    def body() -> Body:
+        rng = np.random.default_rng([seed, 91])
+        radius = float(np.exp(rng.uniform(np.log(0.7), np.log(2.4))))
+        center = _point(rng.uniform(0.6 + radius, 9.4 - radius, 3))
+        contrast = float(np.exp(rng.uniform(np.log(1.5), np.log(8.0))))
+        modulus = 0.2 * contrast if rng.random() < 0.7 else 0.2 / min(contrast, 4.0)
+        direction = rng.standard_normal(3)
+        end = _point(np.full(3, 5.0) + 5.0 * direction / np.linalg.norm(direction))
+        start = _point(10.0 - np.array(end))
+        youngs = (0.2, Gradient(start, end, 0.16, 0.25), RandomField(0.2, 0.1, 5.0, seed))
+        lump = ((Sphere(center, round(radius, 6)), round(modulus, 6)),)
+        background = youngs[seed // 2 % 3]
+        return _cube(*lump[: seed % 2], youngs=background, edge_mm=1.6, truth_edge_mm=1.2)
+
+    return body
+
+
 OBJECTS: dict[str, Callable[[], Body]] = {
     "ball": lambda: Body(make_phantom("cube_sphere", depth=0.4, radius=0.2), (0,)),
     "deep_ball": lambda: Body(make_phantom("cube_deep_sphere"), (0,)),
@@ -487,6 +513,7 @@ OBJECTS: dict[str, Callable[[], Body]] = {
     "uniform_dome": lambda: _dome(),
     "fat_gland": lambda: _breast(),
     **{f"random{seed}": _random(seed) for seed in range(N_RANDOM)},
+    **{f"doubtful{seed}": _doubtful(seed) for seed in range(N_DOUBTFUL)},
 }
 
 _SIDES = tuple(Contact("side", face) for face in ("z+", "x+", "y+"))
@@ -550,6 +577,16 @@ RANDOM_CASES: tuple[Case, ...] = tuple(
     Case(f"random{seed}", "sides", (40.0, 30.0)[seed // 2 % 2], seed=1000 + seed)
     for seed in range(N_RANDOM)
 )
+
+
+def _doubtful_case(seed: int) -> Case:
+    """Return presses of which a third have wrong forces, depth, or Poisson's ratio."""
+    fault = ("forces", "depth", "poisson", *[""] * 6)[np.random.default_rng([seed, 92]).integers(9)]
+    snr_db = (40.0, 30.0, 20.0)[seed // 6 % 3]
+    return Case(f"doubtful{seed}", "sides", snr_db, fault, seed=5000 + seed)
+
+
+DOUBTFUL_CASES: tuple[Case, ...] = tuple(_doubtful_case(seed) for seed in range(N_DOUBTFUL))
 
 
 def random_cases(count: int, only: Sequence[str] | None) -> tuple[Case, ...]:
@@ -758,7 +795,13 @@ def make_recording(case: Case, cache: Path | None = None) -> Recording:
         displacement[press.observed] += sigma * rng.standard_normal(int(press.observed.sum()))
         forces = factors[i] * press.forces
         presses.append(replace(press, forces=forces, displacement=displacement, noise_mm=sigma))
-    return replace(exact, presses=tuple(presses), truth=None, reference=None, provenance={})
+    mesh, material = exact.mesh, exact.material
+    if case.fault == "depth":
+        top = mesh.points.max(axis=0)
+        mesh = TetMesh(top + (mesh.points - top) * [1.0, 1.0, WRONG_DEPTH], mesh.tets)
+    elif case.fault == "poisson":
+        material = replace(material, poisson=WRONG_POISSON)
+    return Recording(mesh, tuple(presses), material)
 
 
 @dataclass(frozen=True, eq=False)

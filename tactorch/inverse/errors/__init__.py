@@ -2,6 +2,7 @@
 
 from tactorch.inverse.errors.base import ErrorSource, Levels, MeasuredPresses
 from tactorch.inverse.errors.covariance import ErrorModel
+from tactorch.inverse.errors.discrepancy import Discrepancy
 from tactorch.inverse.errors.discretisation import DiscretisationRemainder
 from tactorch.inverse.errors.forces import Forces
 from tactorch.inverse.errors.pose import Pose
@@ -19,6 +20,7 @@ ERRORS: tuple[ErrorSource, ...] = (
     Pose(),
     Rims(),
     ContactShift(),
+    Discrepancy(),
 )
 
 __all__ = ["ERRORS", "ErrorModel", "ErrorSource", "Levels", "MeasuredPresses"]

@@ -131,6 +131,46 @@ class ErrorSource(ABC):
         return self.note.format(level) if level >= self.noted else ""
 
 
+class ContactError(ErrorSource):
+    """Errors of the displacements of each contact, over the displacements observed there.
+
+    The presses of a contact have them in common: they grow with the displacements, or where that is
+    not proportional, with their square over the size of the contact too.
+    """
+
+    is_proportional: ClassVar[bool] = True
+
+    @abstractmethod
+    def fields(
+        self, points: Float[np.ndarray, "data 3"], axes: Float[np.ndarray, "data 3"]
+    ) -> Float[np.ndarray, "data k"]:
+        """Return independent errors of displacements observed at points (mm) along axes.
+
+        Their unit is the root mean square of the displacements.
+        """
+
+    def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
+        """Return changes of the data by independent errors, (data, k), see `ErrorSource`."""
+        points = presses.problem.recording.mesh.points
+        observations = presses.problem.data.observations
+        patterns = []
+        for contact in presses.contacts:
+            index = observations[contact[0]].index
+            if not len(index):
+                continue
+            places = points[index // 3]
+            fields, parts = self.fields(places, np.eye(3)[index % 3]), {}
+            extent = np.sqrt(places.var(axis=0).sum())
+            for i in contact:
+                nodal, values = observations[i].nodal, observations[i].values
+                size = np.linalg.norm(values[nodal]) / np.sqrt(len(index))
+                parts[i] = size * observations[i].scale[nodal, None] * fields
+                if not self.is_proportional and len(contact) > 1:
+                    parts[i] = np.hstack([parts[i], size / extent * parts[i]])
+            patterns.append(parts)
+        return presses.joined(patterns)
+
+
 def principal(columns: Columns, smallest: float) -> Float[np.ndarray, "data q"]:
     """Return orthogonal columns of the same covariance, of norms above `smallest`."""
     basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import orth
 
-from tactorch.inverse.errors.base import ErrorSource, MeasuredPresses
+from tactorch.inverse.errors.base import ContactError, MeasuredPresses
 from tactorch.inverse.forward.footprint import largest_depth
 from tactorch.inverse.forward.palpation import is_palpation
 from tactorch.recording import ProbePose, Recording
@@ -14,36 +14,23 @@ _SAME_PLACE = 0.1  # distance across the approach, over the probe's depth, at wh
 _LEVI_CIVITA = np.stack([np.cross(axis, np.eye(3)).T for axis in np.eye(3)])
 
 
-class RigidMotion(ErrorSource):
+class RigidMotion(ContactError):
     """Rigid motions of each contact, over the displacements observed there."""
 
     name = "pose"
 
-    def patterns(self, presses: MeasuredPresses) -> Float[np.ndarray, "data k"]:
-        """Return the motions, in which the presses of a contact move together.
+    def fields(
+        self, points: Float[np.ndarray, "data 3"], axes: Float[np.ndarray, "data 3"]
+    ) -> Float[np.ndarray, "data k"]:
+        """Return translations and rotations about the mean of the points.
 
-        Each moves by the root mean square of its observed displacements. Rotations are about the
-        mean of the observed points, and scaled to the size of the translations.
+        Rotations are scaled to the size of the translations.
         """
-        points = presses.problem.recording.mesh.points
-        observations = presses.problem.data.observations
-        patterns = []
-        for contact in presses.contacts:
-            index = observations[contact[0]].index
-            if not len(index):
-                continue
-            offsets = points[index // 3] - points[index // 3].mean(axis=0)
-            axes = np.eye(3)[index % 3]
-            turns = np.einsum("kij,dj,di->dk", _LEVI_CIVITA, offsets, axes)
-            fields = orth(np.hstack([axes, turns / max(np.abs(offsets).max(), 1e-12)]), rcond=1e-6)
-            n_axes = len(np.unique(index % 3))  # a translation moves one of them
-            parts = {}
-            for i in contact:
-                nodal = observations[i].nodal
-                size = np.linalg.norm(observations[i].values[nodal]) / np.sqrt(n_axes)
-                parts[i] = size * observations[i].scale[nodal, None] * fields
-            patterns.append(parts)
-        return presses.joined(patterns)
+        offsets = points - points.mean(axis=0)
+        turns = np.einsum("kij,dj,di->dk", _LEVI_CIVITA, offsets, axes)
+        fields = orth(np.hstack([axes, turns / max(np.abs(offsets).max(), 1e-12)]), rcond=1e-6)
+        n_axes = int(axes.any(axis=0).sum())  # a translation moves one of them
+        return np.asarray(fields * np.sqrt(len(points) / n_axes))
 
 
 class Pose(RigidMotion):

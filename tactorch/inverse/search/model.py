@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from tactorch.inverse.data.observations import DataModel
 from tactorch.inverse.errors import Levels
+from tactorch.inverse.errors.discrepancy import Discrepancy
 from tactorch.inverse.fields import (
     FAMILIES,
     SIZE,
@@ -45,6 +46,7 @@ DEGREES = (2, 4)  # of smooth backgrounds
 MIN_CANDIDATE_GAIN = 8.0
 OPTIMISM = 1.5  # falls of the objective over those of its quadratic model, at best
 MAX_LOG_ODDS = 1e6  # where the model without an inclusion has no equilibrium
+_LEAST_CONTRAST = 0.02  # of an inclusion or a step, in the logarithm
 # Range of the log-contrast of a start with the reduced model, and its limit with quadratic
 # elements: the far field of a ball, (c - 1) / (c + 3/2), is 0.6 and 0.7 of its limit there, see
 # `moderate`.
@@ -189,10 +191,14 @@ def record(what: str, fit: ShapeFit) -> dict[str, Any]:
     return {"model": what, "chi2": fit.chi2, "log_evidence": evidence}
 
 
-def unexplained(fit: ShapeFit, data: DataModel) -> float:
-    """Return the root mean square of the residuals beyond their noise, over the data's."""
-    observed = data.values * data.scale
-    return float(np.sqrt(max(fit.chi2 - 1.0, 0.0) / np.mean(observed**2)))
+def unexplained(model: Model, data: DataModel) -> float:
+    """Return the root mean square of what is neither explained nor noise, over the data's.
+
+    It is that of the residuals, and of the discrepancy of the model.
+    """
+    observed, chi2 = data.values * data.scale, model.fit.chi2
+    discrepancy = model.errors.get(Discrepancy.name, 0.0)
+    return float(np.sqrt(max(chi2 - 1.0, 0.0) / np.mean(observed**2) + discrepancy**2))
 
 
 def with_predictions(
@@ -261,6 +267,18 @@ def with_step(
     background, end = field.background, field.n_background
     other = replace(field, background=replace(background, steps=(*background.steps, side)))
     return other, other.standard(np.insert(field.physical(z), end, [place_mm, log_contrast]))
+
+
+def is_negligible(fit: ShapeFit) -> bool:
+    """Return whether an inclusion or a step has hardly any contrast: one material varies as much.
+
+    Faint structure explains what is left of errors that a model has not quite described.
+    """
+    field, values = fit.field, fit.field.physical(fit.z)
+    steps = [values[field.background.step_at(k)][1] for k in range(len(field.background.steps))]
+    lumps = [shape.contrast for shape in field.shapes(fit.z)]
+    logs = np.abs([*steps, *np.log(lumps)])
+    return bool((logs < _LEAST_CONTRAST).any())
 
 
 def less(model: Model, removed: Sequence[int]) -> Start:

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from tactorch.inverse.errors import Levels
+from tactorch.inverse.errors.discrepancy import without_discrepancy
 from tactorch.inverse.fields import FAMILIES, Cloud, InclusionShape
 from tactorch.inverse.fields.family import families_beyond
 from tactorch.inverse.search.base import SearchProblem
@@ -20,6 +21,7 @@ from tactorch.inverse.search.model import (
     Proposal,
     Start,
     as_one,
+    is_negligible,
     less,
     moderate,
     noise_weights,
@@ -48,6 +50,7 @@ def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
     """
     fit = model.fit
     starts = [start for source in problem.proposals for start in source(problem, model)]
+    starts += [*_without_discrepancy(model, starts)]
     proposals = _fitted(problem, model, starts)
     proposals += _fitted(problem, model, [*_further_beside(problem, model, proposals)])
     least_chi2 = min((p.trial.chi2 for p in proposals), default=0.0)
@@ -65,7 +68,7 @@ def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
             least = 0.0  # of two models that explain as much it is the simpler one
         what, chi2 = proposal.what, proposal.trial.chi2
         _log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", what, chi2, gain)
-        if gain > problem.trial_share * least:
+        if gain > problem.trial_share * least and not is_negligible(proposal.trial):
             promise = weighted_gain(proposal.trial, fit, weights)
             kind = _kind(proposal, model)
             better.append(replace(proposal, least_gain=least, promise=promise, kind=kind))
@@ -163,6 +166,14 @@ def _further_beside(
             if candidate.gain >= MIN_CANDIDATE_GAIN:
                 what, field, z = with_ball(trial, candidate)
                 yield Start(f"{form.what}, {what}", field, z, form.errors)
+
+
+def _without_discrepancy(model: Model, starts: Sequence[Start]) -> Iterator[Start]:
+    """Yield changes of the map without the discrepancy that the present one may need."""
+    for start in starts:
+        if start.errors == model.errors and start.field is not model.fit.field:
+            if (exact := without_discrepancy(start.errors)) != start.errors:
+                yield replace(start, what=f"{start.what}, no discrepancy", errors=exact)
 
 
 def other_errors(problem: SearchProblem, model: Model) -> Iterator[Start]:

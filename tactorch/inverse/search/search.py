@@ -30,6 +30,7 @@ from tactorch.inverse.search.model import (
     Start,
     TimeLimit,
     improve,
+    is_negligible,
     record,
     unexplained,
     with_predictions,
@@ -233,7 +234,7 @@ def _result(
     _log.info("final fit: chi2 %.4g", fit.chi2)
     return ShapeReconstruction(
         fit.field, fit.optimum, posterior, fit.chi2,
-        *_log_odds(problem, model), model.errors, unexplained(fit, problem.full.data),
+        *_log_odds(problem, model), model.errors, unexplained(model, problem.full.data),
         tuple(history),
     )  # fmt: skip
 
@@ -285,7 +286,7 @@ def _challenge(
         change = problem.gain(trial.fit, model.fit)
         _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)
         is_better = rival is None or problem.gain(trial.fit, rival.fit) > 0.0
-        if change > proposal.least_gain and is_better:
+        if change > proposal.least_gain and is_better and not is_negligible(trial.fit):
             return trial
     return None
 
