@@ -64,8 +64,8 @@ def test_near_displacements_along_one_axis_have_them_in_common(recording: Record
     apart = np.linalg.norm(points[:, None] - points, axis=2)
     same = axes[:, None] == axes
     assert np.abs(correlation[~same]).max() < 1e-9
-    assert correlation[same & (apart < 2.1)].min() > 0.9
-    assert correlation[same & (apart > 12.0)].max() < 0.2
+    assert correlation[same & (apart < 2.1)].min() > 0.8
+    assert correlation[same & (apart > 12.0)].max() < 0.1
     second = patterns[problem.data.begins[2] :]
     assert np.abs(patterns[: len(index)] @ second[: len(index)].T).max() == 0.0
 
@@ -119,9 +119,9 @@ def test_changes_of_the_map_are_tried_without_the_discrepancy() -> None:
     assert not list(_without_discrepancy(replace(model, errors={}), starts))
 
 
-@pytest.mark.parametrize("log_contrast", [0.015, -0.015, 0.03])
+@pytest.mark.parametrize("log_contrast", [0.03, -0.03, 0.07])
 @pytest.mark.parametrize("is_step", [True, False])
-def test_a_change_of_the_modulus_of_a_hundredth_is_no_structure(
+def test_a_change_of_the_modulus_of_a_few_percent_is_no_structure(
     log_contrast: float, is_step: bool
 ) -> None:
     field = ShapeField(ShapePrior.of(MESH, 0.2), () if is_step else (BALL,))
@@ -131,4 +131,4 @@ def test_a_change_of_the_modulus_of_a_hundredth_is_no_structure(
     else:
         values[field.index(0, "log_contrast")] = log_contrast
         z = field.standard(values)
-    assert is_negligible(Mock(spec=ShapeFit, field=field, z=z)) is (abs(log_contrast) < 0.02)
+    assert is_negligible(Mock(spec=ShapeFit, field=field, z=z)) is (abs(log_contrast) < 0.05)

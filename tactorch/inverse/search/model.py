@@ -46,7 +46,7 @@ DEGREES = (2, 4)  # of smooth backgrounds
 MIN_CANDIDATE_GAIN = 8.0
 OPTIMISM = 1.5  # falls of the objective over those of its quadratic model, at best
 MAX_LOG_ODDS = 1e6  # where the model without an inclusion has no equilibrium
-_LEAST_CONTRAST = 0.02  # of an inclusion or a step, in the logarithm
+_LEAST_CONTRAST = 0.05  # of an inclusion or a step, in the logarithm
 # Range of the log-contrast of a start with the reduced model, and its limit with quadratic
 # elements: the far field of a ball, (c - 1) / (c + 3/2), is 0.6 and 0.7 of its limit there, see
 # `moderate`.
