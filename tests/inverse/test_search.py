@@ -191,7 +191,9 @@ def test_the_best_proposal_is_accepted(
 
     def challenge(proposal: Proposal, _: Model, rival: Model | None) -> Mock:
         calls.append(proposal.what)
-        return Mock(spec=Model, fit=_evidence(full[proposal.what]))
+        fit = _evidence(full[proposal.what])
+        fit.configure_mock(field=proposal.field, z=np.ones(proposal.field.size))
+        return Mock(spec=Model, fit=fit)
 
     problem = Mock(spec=SearchProblem, challenge=challenge, rival_share=share)
     problem.gain = lambda fit, rival: rival.complexity - fit.complexity

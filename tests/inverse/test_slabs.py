@@ -14,7 +14,7 @@ from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import Model, Start, with_step
 from tactorch.inverse.search.problem import ShapeProblem
 from tactorch.inverse.search.proposals import changed, split
-from tactorch.inverse.search.search import _log_odds
+from tactorch.inverse.search.search import _support
 from tactorch.inverse.search.slabs import (
     crosses,
     inclusions_as_steps,
@@ -140,9 +140,11 @@ def test_an_inclusion_in_place_of_a_smooth_background_is_not_probable() -> None:
     field = ShapeField(problem.prior, (BALL,))
     ball = np.array([np.log(0.2), 9.0, 5.0, 9.0, np.log(4.0), 0.5])
     model = problem.fit(Start("ball", field, field.standard(ball), {}), None)
-    plain, smooth = problem.without(model, [0])
+    plain, smooth, *_ = (fit for _, fit in problem.without(model, [0]))
     assert problem.gain(model.fit, plain) > 3.0
     assert problem.gain(model.fit, uniform.fit) > 3.0
     assert problem.gain(model.fit, smooth) < -3.0
-    (odds,), odds_any = _log_odds(problem, model)
-    assert odds == odds_any < -3.0
+    odds, predictive = _support(problem, model, [0])
+    assert odds < -3.0
+    assert predictive is not None
+    assert predictive < 0.0

@@ -34,7 +34,7 @@ def of_inclusions(
     unknown = np.zeros((0, recording.mesh.n_points, 3)), None, None
     displacements, predicted, residuals = shapes.predictions or unknown
     reasons = _reasons_of(shapes)
-    found = [] if reasons else [i for i in shapes.inclusions if i.probability >= _MIN_PROBABILITY]
+    found = [] if reasons else [i for i in shapes.inclusions if _is_supported(i)]
     return Reconstruction(
         mesh=recording.mesh,
         youngs=shapes.element_means(recording.mesh),
@@ -52,6 +52,12 @@ def of_inclusions(
         warnings=_warnings_of(shapes),
         shapes=shapes,
     )
+
+
+def _is_supported(inclusion: ShapeInclusion) -> bool:
+    """Whether an inclusion is probable, and predicts presses that it was not fitted to."""
+    predicts = inclusion.predictive is None or inclusion.predictive > 0.0
+    return inclusion.probability >= _MIN_PROBABILITY and predicts
 
 
 def _reasons_of(result: ShapeReconstruction) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ from tactorch.mesh.quadrature import lattice
 _DRAWS = 1000
 _POINTS = 4  # along an edge of an element, for its mean modulus
 # Attributes that files hold as they are.
-_STORED = ("chi2", "log_odds", "log_odds_any", "errors", "unexplained", "history")
+_STORED = ("chi2", "log_odds", "log_odds_any", "errors", "unexplained", "history", "predictive")
 
 
 class Interval(NamedTuple):
@@ -87,6 +87,8 @@ class ShapeInclusion(Summarized):
         youngs_90_mpa: Interval of Young's modulus, MPa.
         contrast_90: Interval of Young's modulus over that of the background.
         probability: Probability that the inclusion exists.
+        predictive: Log-density of the presses of each contact, as the others predict them, over
+            that of the best model without the inclusion; None where it is not known.
     """
 
     shape: InclusionShape
@@ -97,6 +99,7 @@ class ShapeInclusion(Summarized):
     youngs_90_mpa: Interval
     contrast_90: Interval
     probability: float
+    predictive: float | None = None
 
     def summary(self) -> str:
         """Return location, size, modulus and probability in a line of text."""
@@ -124,8 +127,9 @@ class ShapeReconstruction(Displayed):
         log_odds_any: The same for all inclusions together.
         errors: Deviations of the errors by which the data are best explained, each in its unit; see
             `tactorch.inverse.errors`. Others are zero.
-        unexplained: Root mean square of the residuals beyond their noise and the recognised errors
-            of forces and poses, over that of the observed displacements.
+        unexplained: Root mean square of what is neither explained nor noise, over that of the
+            observed displacements: of the residuals beyond their noise and the recognised errors,
+            and of the discrepancy of the model.
         history: The accepted models with their chi2 and log-evidence.
         predictions: Predictions of the presses; None where the result comes from a file.
         held_out: How well a contact is predicted from the others; None where it is not known. See
@@ -133,6 +137,7 @@ class ShapeReconstruction(Displayed):
         ended: What ended the search early, so that there may be more inclusions: Ctrl-C or the time
             limit; None by default.
         untried: Models that were proposed, and not fitted any more by such a search.
+        predictive: See `ShapeInclusion`, of each inclusion.
     """
 
     field: ShapeField
@@ -148,6 +153,7 @@ class ShapeReconstruction(Displayed):
     held_out: float | None = None
     ended: StopReason | None = None
     untried: tuple[str, ...] = ()
+    predictive: tuple[float | None, ...] = ()
 
     def summary(self) -> str:
         """Return a description of the result in a few lines of text."""
@@ -264,6 +270,7 @@ class ShapeReconstruction(Displayed):
             _interval(draws.youngs_mpa),
             _interval(draws.contrast),
             float(expit(self.log_odds[k])),
+            self.predictive[k] if self.predictive else None,
         )
 
     def plain(self) -> dict[str, Any]:
@@ -279,8 +286,8 @@ class ShapeReconstruction(Displayed):
             forces = "forces" if field.prior.outside_mm is None else "smooth_forces"
             names = {forces: "force_deviation", "pose": "pose_deviation", "rims": "rim_deviation"}
             errors = {name: level for name, old in names.items() if (level := plain.get(old))}
-        values = {name: plain[name] for name in _STORED if name != "errors"}
-        values |= {name: tuple(plain[name]) for name in ("log_odds", "history")}
+        values = {"predictive": ()} | {k: plain[k] for k in _STORED if k in plain and k != "errors"}
+        values |= {name: tuple(values[name]) for name in ("log_odds", "history", "predictive")}
         posterior = ShapePosterior.of(plain["posterior"])
         return ShapeReconstruction(field, np.array(plain["z"]), posterior, errors=errors, **values)
 

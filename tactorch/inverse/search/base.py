@@ -15,10 +15,12 @@ from tactorch.inverse.errors import ErrorModel, Levels
 from tactorch.inverse.errors.discrepancy import Discrepancy, without_discrepancy
 from tactorch.inverse.fields import ShapeField, ShapePrior, Sites
 from tactorch.inverse.fit.shapes import Evidence, ShapeFit, ShapesOnSites, fit_shapes
+from tactorch.inverse.forward.palpation import contacts_of
 from tactorch.inverse.forward.problem import Evaluation, InverseProblem
 from tactorch.inverse.forward.reduced import ReducedProblem
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction
+from tactorch.inverse.search.held_out import held_out_score
 from tactorch.inverse.search.matched import MatchedFilter
 from tactorch.inverse.search.model import (
     MIN_GAIN,
@@ -262,8 +264,8 @@ class SearchProblem(ABC):
             max_iterations=self.trial_steps, tolerance=FINE, give_up=self._never,
         )[0]  # fmt: skip
 
-    def without(self, model: Model, removed: Sequence[int]) -> Iterator[Evidence]:
-        """Yield the evidence of `rivals` of a final model, by the reduced model.
+    def without(self, model: Model, removed: Sequence[int]) -> Iterator[tuple[Levels, ShapeFit]]:
+        """Yield the errors and the fit of `rivals` of a final model, by the reduced model.
 
         They are tried with larger discrepancies of the model too.
         """
@@ -271,7 +273,12 @@ class SearchProblem(ABC):
         plain, *smooth = rivals(model, removed)
         doubted = (replace(plain, errors=errors) for errors in self.doubts(model.errors))
         for rival in (plain, *smooth, *doubted):
-            yield self.try_model(rival, offsets)
+            yield rival.errors, self.try_model(rival, offsets)
+
+    def held_out_score(self, errors: Levels, fit: ShapeFit) -> float | None:
+        """Return how well a fit predicts the presses of a contact from the others."""
+        data, contacts = self.data(errors), contacts_of(self.full.recording)
+        return held_out_score(data, contacts, fit.residuals, fit.jacobian, fit.covariance)
 
     def offsets(self, model: Model) -> list[np.ndarray]:
         """Return predictions of the reduced model less those of the full one at a model."""

@@ -19,7 +19,7 @@ from tactorch.inverse.errors import ERRORS, ErrorModel, Levels, MeasuredPresses
 from tactorch.inverse.errors.smooth_forces import border_distances, correlation_length
 from tactorch.inverse.fields import ShapePrior, Sites
 from tactorch.inverse.fit.settings import Settings
-from tactorch.inverse.fit.shapes import Evidence
+from tactorch.inverse.fit.shapes import ShapeFit
 from tactorch.inverse.forward.palpation import PALPATION_ELEMENT, PalpationProblem, group_places
 from tactorch.inverse.forward.problem import Evaluation
 from tactorch.inverse.forward.reduced import ReducedProblem
@@ -117,14 +117,14 @@ class PalpationSearch(SearchProblem):
         self._linearise_about(model.evaluation)
         return model
 
-    def without(self, model: Model, removed: Sequence[int]) -> Iterator[Evidence]:
-        """Yield the evidence of `rivals` of a final model.
+    def without(self, model: Model, removed: Sequence[int]) -> Iterator[tuple[Levels, ShapeFit]]:
+        """Yield the errors and the fit of `rivals` of a final model.
 
         They are fitted with `full`, as the reduced model is linearised about the inclusions, as far
         as it is not certain that the model has much more evidence.
         """
         for rival in rivals(model, removed):
-            yield self.challenge(rival, model, _CERTAIN).fit
+            yield rival.errors, self.challenge(rival, model, _CERTAIN).fit
 
     def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
         return model, make_posterior(model, self.sites)

@@ -19,6 +19,7 @@ from tactorch.errors import CancelledError, ConvergenceError
 from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.settings import Settings
+from tactorch.inverse.fit.shapes import ShapeFit
 from tactorch.inverse.forward.palpation import is_palpation
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction
@@ -232,10 +233,16 @@ def _result(
     fit = model.fit
     history.append(record("final fit", fit))
     _log.info("final fit: chi2 %.4g", fit.chi2)
+    count = len(fit.field.parts)
+    each = [_support(problem, model, [k]) for k in range(count)]
+    odds_any = each[0][0] if count == 1 else 0.0
+    if count > 1:
+        odds_any = _support(problem, model, range(count))[0]
     return ShapeReconstruction(
         fit.field, fit.optimum, posterior, fit.chi2,
-        *_log_odds(problem, model), model.errors, unexplained(model, problem.full.data),
-        tuple(history),
+        tuple(odds for odds, _ in each), odds_any, model.errors,
+        unexplained(model, problem.full.data), tuple(history),
+        predictive=tuple(gain for _, gain in each),
     )  # fmt: skip
 
 
@@ -291,14 +298,23 @@ def _challenge(
     return None
 
 
-def _log_odds(problem: SearchProblem, model: Model) -> tuple[tuple[float, ...], float]:
-    """Return the log-evidence of a model over the best one without an inclusion, or without any."""
-    fit, count = model.fit, len(model.fit.field.parts)
-    inflation = max(1.0, fit.chi2)
+def _support(
+    problem: SearchProblem, model: Model, removed: Sequence[int]
+) -> tuple[float, float | None]:
+    """Return the log-evidence of a model over the best one without some inclusions.
 
-    def over(removed: Sequence[int]) -> float:
-        others = [one.log_evidence(inflation) for one in problem.without(model, removed)]
-        return min(fit.log_evidence(inflation) - max(others), MAX_LOG_ODDS)
+    The second value is the same of the log-density of the presses of a contact, as the others
+    predict them; None where it is not known.
+    """
+    inflation = max(1.0, model.fit.chi2)
 
-    each = tuple(over([k]) for k in range(count))
-    return each, (each[0] if count == 1 else over(range(count)) if count else 0.0)
+    def evidence(fit: ShapeFit) -> float:
+        return fit.log_evidence(inflation)
+
+    errors, rival = max(problem.without(model, removed), key=lambda other: evidence(other[1]))
+    scores = [
+        problem.held_out_score(*one) for one in ((model.errors, model.fit), (errors, rival))
+    ]
+    known = [len(rival.residuals) * score for score in scores if score is not None]
+    predictive = known[0] - known[1] if len(known) == len(scores) else None
+    return min(evidence(model.fit) - evidence(rival), MAX_LOG_ODDS), predictive
