@@ -128,7 +128,7 @@ def is_right(case: Case, center_mm: Sequence[float], contrast: Sequence[float]) 
         return False
     (shape, true), apart = ball, np.subtract(center_mm, ball[0].center_mm)
     is_near = float(np.linalg.norm(apart)) < max(NEAR_MM, shape.radius_mm)
-    return is_near and (true > 1.0) == (np.sqrt(contrast[0] * contrast[1]) > 1.0)
+    return bool(is_near and (true > 1.0) == (np.sqrt(contrast[0] * contrast[1]) > 1.0))
 
 
 def deviations(case: Case, recording: Recording) -> float:
