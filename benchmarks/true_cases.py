@@ -463,9 +463,9 @@ def _doubtful(seed: int) -> Callable[[], Body]:
         contrast = float(np.exp(rng.uniform(np.log(1.5), np.log(8.0))))
         modulus = 0.2 * contrast if rng.random() < 0.7 else 0.2 / min(contrast, 4.0)
         direction = rng.standard_normal(3)
-        end = _point(np.full(3, 5.0) + 5.0 * direction / np.linalg.norm(direction))
+        end = _point(np.full(3, 5.0) + 9.0 * direction / np.linalg.norm(direction))
         start = _point(10.0 - np.array(end))
-        youngs = (0.2, Gradient(start, end, 0.16, 0.25), RandomField(0.2, 0.1, 5.0, seed))
+        youngs = (0.2, Gradient(start, end, 0.13, 0.3), RandomField(0.2, 0.1, 5.0, seed))
         lump = ((Sphere(center, round(radius, 6)), round(modulus, 6)),)
         background = youngs[seed // 2 % 3]
         return _cube(*lump[: seed % 2], youngs=background, edge_mm=1.6, truth_edge_mm=1.2)

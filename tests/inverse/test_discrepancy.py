@@ -8,7 +8,8 @@ import pytest
 
 from tactorch.inverse import InverseProblem, Settings, find_shapes
 from tactorch.inverse.errors import MeasuredPresses
-from tactorch.inverse.errors.discrepancy import Discrepancy, without_discrepancy
+from tactorch.inverse.errors.discrepancy import Discrepancy
+from tactorch.inverse.errors.heterogeneity import Heterogeneity, _modes
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.fields.background import Background
 from tactorch.inverse.fit.shapes import ShapeFit
@@ -16,7 +17,7 @@ from tactorch.inverse.forward.problem import Evaluation
 from tactorch.inverse.result.build import of_inclusions
 from tactorch.inverse.search.model import Model, Start, is_negligible, with_step
 from tactorch.inverse.search.problem import ShapeProblem
-from tactorch.inverse.search.proposals import _without_discrepancy
+from tactorch.inverse.search.proposals import _specific
 from tactorch.mesh import TetMesh, box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
@@ -70,6 +71,20 @@ def test_near_displacements_along_one_axis_have_them_in_common(recording: Record
     assert np.abs(patterns[: len(index)] @ second[: len(index)].T).max() == 0.0
 
 
+def test_the_modulus_varies_by_a_process_of_unit_variance() -> None:
+    """Its correlation is that of a Gaussian covariance: exp(-1/2) at a quarter of the side."""
+    modes = _modes(box_mesh(10.0, 8, tets_per_cell=5))
+    points = box_mesh(10.0, 8, tets_per_cell=5).centroids
+    assert np.mean((modes**2).sum(axis=1)) == pytest.approx(1.0, rel=0.05)
+    inner = (np.abs(points - 5.0) < 2.6).all(axis=1)
+    covariance, apart = modes[inner] @ modes[inner].T, points[inner][:, None] - points[inner]
+    variances = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(variances, variances)
+    distances = np.linalg.norm(apart, axis=2)
+    near = np.abs(distances - 2.5) < 0.1
+    assert correlation[near].mean() == pytest.approx(np.exp(-0.5), abs=0.1)
+
+
 def test_a_wrong_depth_is_a_discrepancy_and_no_lump() -> None:
     found = find_shapes(wrong := pressed("uniform_cube", 1.15))
     assert not found.inclusions
@@ -89,10 +104,10 @@ def test_presses_as_stated_have_none(recording: Recording) -> None:
 def test_an_inclusion_has_to_explain_more_than_a_discrepancy(recording: Recording) -> None:
     """The rivals of a model with an inclusion have larger discrepancies."""
     problem = ShapeProblem(recording, Settings(), max_shapes=1)
-    levels = [errors["discrepancy"] for errors in problem.doubts({"pose": 0.01})]
-    assert tuple(levels) == Discrepancy.levels
-    above = problem.doubts({"pose": 0.01, "discrepancy": Discrepancy.levels[-2]})
-    assert above == [{"pose": 0.01, "discrepancy": Discrepancy.levels[-1]}]
+    present = {"pose": 0.01, "discrepancy": Discrepancy.levels[-2]}
+    doubts = problem.errors.doubts(present)
+    assert doubts[0] == present | {"discrepancy": Discrepancy.levels[-1]}
+    assert doubts[1:] == [present | {"heterogeneity": x} for x in Heterogeneity.levels]
     model = problem.uniform()
     ball = ShapeField(problem.prior, (BALL,))
     model = replace(model, fit=replace(model.fit, field=ball, z=np.append(model.fit.z, np.zeros(5))))
@@ -102,21 +117,23 @@ def test_an_inclusion_has_to_explain_more_than_a_discrepancy(recording: Recordin
     list(problem.without(model, [0]))
     assert not any(start.field.families for start in tried)
     assert {start.errors.get("discrepancy", 0.0) for start in tried} == {0.0, *Discrepancy.levels}
+    varying = {start.errors.get("heterogeneity", 0.0) for start in tried}
+    assert varying == {0.0, *Heterogeneity.levels}
 
 
-def test_changes_of_the_map_are_tried_without_the_discrepancy() -> None:
-    errors = {"pose": 0.01, "discrepancy": 0.02}
-    assert without_discrepancy(errors) == {"pose": 0.01}
-    prior = ShapePrior.of(MESH, 0.2)
-    same, other = ShapeField(prior), ShapeField(prior, background=Background(2))
+def test_changes_of_the_map_are_tried_without_general_errors(recording: Recording) -> None:
+    problem = ShapeProblem(recording, Settings())
+    errors = {"pose": 0.01, "discrepancy": 0.02, "heterogeneity": 0.1}
+    assert problem.errors.specific(errors) == {"pose": 0.01}
+    same, other = ShapeField(problem.prior), ShapeField(problem.prior, background=Background(2))
     model = Model(Mock(spec=ShapeFit, field=same), Mock(spec=Evaluation), errors)
     starts = [
         Start("background", other, np.zeros(other.size), errors),
         Start("poses", same, np.zeros(same.size), {"discrepancy": 0.02}),
     ]
-    (tried,) = _without_discrepancy(model, starts)
+    (tried,) = _specific(problem, model, starts)
     assert (tried.field, tried.errors) == (other, {"pose": 0.01})
-    assert not list(_without_discrepancy(replace(model, errors={}), starts))
+    assert not list(_specific(problem, replace(model, errors={"pose": 0.01}), starts))
 
 
 @pytest.mark.parametrize("log_contrast", [0.03, -0.03, 0.07])

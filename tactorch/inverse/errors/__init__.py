@@ -5,6 +5,7 @@ from tactorch.inverse.errors.covariance import ErrorModel
 from tactorch.inverse.errors.discrepancy import Discrepancy
 from tactorch.inverse.errors.discretisation import DiscretisationRemainder
 from tactorch.inverse.errors.forces import Forces
+from tactorch.inverse.errors.heterogeneity import Heterogeneity
 from tactorch.inverse.errors.pose import Pose
 from tactorch.inverse.errors.rims import Rims
 from tactorch.inverse.errors.shift import ContactShift
@@ -21,6 +22,7 @@ ERRORS: tuple[ErrorSource, ...] = (
     Rims(),
     ContactShift(),
     Discrepancy(),
+    Heterogeneity(),
 )
 
 __all__ = ["ERRORS", "ErrorModel", "ErrorSource", "Levels", "MeasuredPresses"]

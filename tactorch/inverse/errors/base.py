@@ -64,6 +64,8 @@ class MeasuredPresses:
     rims: Sequence[tuple[tuple[int, ...], Int[np.ndarray, " _"]]] = ()
     at_edge: bool = False  # whether a sensor's contact ends at an edge of the body
     kept: KeptRims = field(default_factory=KeptRims)  # what searches on further presses reuse
+    #: Derivatives of the data (mm, N or N mm) by the log-modulus of each element of a uniform body.
+    log_rates: Float[np.ndarray, "data elements"] | None = None
 
     @property
     def evaluation(self) -> Evaluation:
@@ -104,6 +106,7 @@ class ErrorSource(ABC):
     noted: ClassVar[float] = 1e-9
     smallest: ClassVar[float] = 0.0
     is_nonlinear: ClassVar[bool] = False  # whether it has `nonlinear_changes`
+    is_general: ClassVar[bool] = False  # whether it explains any smooth change of the data
 
     def least(self, presses: MeasuredPresses) -> float | None:
         """Return the least deviation, that of the simplest model; None where there is no error."""

@@ -90,6 +90,20 @@ class ErrorModel:
         highest = {k: max(levels.get(k, 0.0), self.least.get(k, 0.0)) for k in names}
         return {name: level for name, level in highest.items() if level}
 
+    def specific(self, levels: Levels) -> Levels:
+        """Return deviations but for those of general errors, which explain any smooth change."""
+        general = [error.name for error in self.errors if error.is_general]
+        return {name: level for name, level in levels.items() if name not in general}
+
+    def doubts(self, levels: Levels) -> list[Levels]:
+        """Return deviations of which that of one general error is larger."""
+        return [
+            {**levels, error.name: level}
+            for error in self.errors
+            for level in error.levels
+            if error.is_general and level > levels.get(error.name, 0.0)
+        ]
+
     def others(self, levels: Levels) -> Iterator[tuple[str, Levels]]:
         """Yield deviations that differ in one respect, at least the least, with descriptions."""
         for error in self.errors:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.distance import cdist
 
-from tactorch.inverse.errors.base import ContactError, Levels, MeasuredPresses
+from tactorch.inverse.errors.base import ContactError, MeasuredPresses
 from tactorch.inverse.forward.palpation import is_palpation
 
 # Correlation length over the root mean square distance of the observed points from their mean: half
@@ -24,7 +24,8 @@ _LEAST_SHARE = 1e-4  # of the variance, of patterns that are left out
 class Discrepancy(ContactError):
     """Smooth displacements of each contact, over the displacements observed there."""
 
-    name, elements, is_proportional = "discrepancy", "linear", False
+    name, elements = "discrepancy", "linear"
+    is_proportional, is_general = False, True
     proposal, levels = "a discrepancy of {:.2%}", (0.0025, 0.005, 0.01, 0.02, 0.04, 0.08)
     note = (
         "The presses differ from the best model by smooth displacements, about {:.1%} of those "
@@ -47,8 +48,3 @@ class Discrepancy(ContactError):
         kept = variances > _LEAST_SHARE * variances[-1]
         roots = modes[:, kept] * np.sqrt(variances[kept])
         return np.hstack([axes[:, k, None] * roots[number.ravel()] for k in range(3)])
-
-
-def without_discrepancy(errors: Levels) -> Levels:
-    """Return deviations of errors but for that of the discrepancy."""
-    return {name: level for name, level in errors.items() if name != Discrepancy.name}

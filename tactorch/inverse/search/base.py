@@ -12,7 +12,6 @@ from jaxtyping import Float, Int
 from tactorch.errors import CancelledError
 from tactorch.inverse.data.observations import DataModel
 from tactorch.inverse.errors import ErrorModel, Levels
-from tactorch.inverse.errors.discrepancy import Discrepancy, without_discrepancy
 from tactorch.inverse.fields import ShapeField, ShapePrior, Sites
 from tactorch.inverse.fit.shapes import Evidence, ShapeFit, ShapesOnSites, fit_shapes
 from tactorch.inverse.forward.palpation import contacts_of
@@ -167,17 +166,10 @@ class SearchProblem(ABC):
         """Return the matched filter for data with these errors."""
         return self.matched.whitened(self.data(errors))
 
-    def doubts(self, errors: Levels) -> list[Levels]:
-        """Return errors with larger discrepancies of the model."""
-        present = errors.get(Discrepancy.name, 0.0)
-        occurs = any(isinstance(error, Discrepancy) for error in self.errors.errors)
-        levels = [level for level in Discrepancy.levels if level > present and occurs]
-        return [{**errors, Discrepancy.name: level} for level in levels]
-
     def error_levels(self, model: Model) -> Iterator[Levels]:
         """Yield the errors with which further inclusions are proposed, those of the model first."""
         yield model.errors
-        if (exact := without_discrepancy(model.errors)) != model.errors:
+        if (exact := self.errors.specific(model.errors)) != model.errors:
             yield exact
 
     def fit(
@@ -267,11 +259,11 @@ class SearchProblem(ABC):
     def without(self, model: Model, removed: Sequence[int]) -> Iterator[tuple[Levels, ShapeFit]]:
         """Yield the errors and the fit of `rivals` of a final model, by the reduced model.
 
-        They are tried with larger discrepancies of the model too.
+        They are tried with larger general errors, such as a discrepancy of the model, too.
         """
         offsets = self.offsets(model)
         plain, *smooth = rivals(model, removed)
-        doubted = (replace(plain, errors=errors) for errors in self.doubts(model.errors))
+        doubted = (replace(plain, errors=errors) for errors in self.errors.doubts(model.errors))
         for rival in (plain, *smooth, *doubted):
             yield rival.errors, self.try_model(rival, offsets)
 

@@ -91,8 +91,11 @@ class ShapeProblem(SearchProblem):
         self.full = problem(element, derivative_rtol=_DERIVATIVE_RTOL)
         self.sites = Sites.of(self.full.body.assembly)
         self._reduced_sites = Sites.of(self.linear.body.assembly)
+        youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
+        self.reduced = ReducedProblem.about_uniform(self.linear, youngs)
+        presses = MeasuredPresses(self.full, contacts, log_rates=self.reduced.rates)
         # Where the presses were computed on this mesh, it is the object.
-        self._correction, presses = None, MeasuredPresses(self.full, contacts)
+        self._correction = None
         if not same:
             correction = Correction.of(self.full, kept)
             self._correction, presses = correction, replace(
@@ -104,8 +107,6 @@ class ShapeProblem(SearchProblem):
             )  # fmt: skip
         self.errors = ErrorModel(presses, ERRORS)
         self._corrected_at: tuple[ShapeFit, Levels] | None = None
-        youngs = uniform_fit(self.linear, settings.bounds).youngs_mpa
-        self.reduced = ReducedProblem.about_uniform(self.linear, youngs)
         self.matched = MatchedFilter.of(self.reduced)
         self.prior = ShapePrior.of(recording.mesh, youngs)
         self._floored = noise.floored(recording)

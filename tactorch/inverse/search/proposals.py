@@ -9,7 +9,6 @@ from itertools import combinations
 import numpy as np
 
 from tactorch.inverse.errors import Levels
-from tactorch.inverse.errors.discrepancy import without_discrepancy
 from tactorch.inverse.fields import FAMILIES, Cloud, InclusionShape
 from tactorch.inverse.fields.family import families_beyond
 from tactorch.inverse.search.base import SearchProblem
@@ -50,7 +49,7 @@ def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
     """
     fit = model.fit
     starts = [start for source in problem.proposals for start in source(problem, model)]
-    starts += [*_without_discrepancy(model, starts)]
+    starts += [*_specific(problem, model, starts)]
     proposals = _fitted(problem, model, starts)
     proposals += _fitted(problem, model, [*_further_beside(problem, model, proposals)])
     least_chi2 = min((p.trial.chi2 for p in proposals), default=0.0)
@@ -168,12 +167,12 @@ def _further_beside(
                 yield Start(f"{form.what}, {what}", field, z, form.errors)
 
 
-def _without_discrepancy(model: Model, starts: Sequence[Start]) -> Iterator[Start]:
-    """Yield changes of the map without the discrepancy that the present one may need."""
-    for start in starts:
+def _specific(problem: SearchProblem, model: Model, starts: Sequence[Start]) -> Iterator[Start]:
+    """Yield changes of the map without the general errors that the present one may need."""
+    specific = problem.errors.specific(model.errors)
+    for start in starts if specific != model.errors else ():
         if start.errors == model.errors and start.field is not model.fit.field:
-            if (exact := without_discrepancy(start.errors)) != start.errors:
-                yield replace(start, what=f"{start.what}, no discrepancy", errors=exact)
+            yield replace(start, what=f"{start.what}, no general errors", errors=specific)
 
 
 def other_errors(problem: SearchProblem, model: Model) -> Iterator[Start]:
