@@ -36,6 +36,7 @@ from tactorch.inverse import Settings, invert
 from tactorch.inverse.fields import FAMILIES, SIZE, ShapeField, strength
 from tactorch.inverse.fields.background import Background
 from tactorch.inverse.fit.shapes import ShapesOnSites
+from tactorch.inverse.result.shapes import ShapeInclusion
 from tactorch.inverse.search.problem import ShapeProblem
 from tactorch.mesh import Sphere
 from tactorch.recording import Recording
@@ -98,8 +99,7 @@ def judge(case: Case, cache: Path | None) -> dict[str, Any]:
     row |= {
         "status": str(result.status),
         "claims": [
-            {"probability": i.probability, "right": is_right(case, i.shape.center_mm, i.contrast_90)}
-            for i in shapes.inclusions
+            {"probability": i.probability, "right": is_right(case, i)} for i in shapes.inclusions
         ],
         "steps": [step._asdict() for step in shapes.steps],
         "errors": dict(shapes.errors),
@@ -118,17 +118,17 @@ def _ball(case: Case) -> tuple[Sphere, float] | None:
     shape, youngs = phantom.inclusions[0]
     assert isinstance(shape, Sphere)
     background = type(phantom)(phantom.body, (), phantom.youngs_mpa)
-    return shape, youngs / float(background.youngs_at(np.array([shape.center_mm]))[0])
+    return shape, float(youngs) / float(background.youngs_at(np.array([shape.center_mm]))[0])
 
 
-def is_right(case: Case, center_mm: Sequence[float], contrast: Sequence[float]) -> bool:
+def is_right(case: Case, found: ShapeInclusion) -> bool:
     """Whether a reported inclusion is the object's ball."""
     ball = _ball(case)
     if ball is None:
         return False
-    (shape, true), apart = ball, np.subtract(center_mm, ball[0].center_mm)
-    is_near = float(np.linalg.norm(apart)) < max(NEAR_MM, shape.radius_mm)
-    return bool(is_near and (true > 1.0) == (np.sqrt(contrast[0] * contrast[1]) > 1.0))
+    (shape, true), apart = ball, np.subtract(found.shape.center_mm, ball[0].center_mm)
+    is_near = bool(np.linalg.norm(apart) < max(NEAR_MM, shape.radius_mm))
+    return is_near and bool(true > 1.0) == bool(found.youngs_mpa > found.background_mpa)
 
 
 def deviations(case: Case, recording: Recording) -> float:

@@ -28,7 +28,7 @@ TOP = np.array([10.0, 10.0, 10.0])
 
 
 def pressed(name: str, depth: float, snr_db: float = 40.0) -> Recording:
-    """Return presses of linear elements on a cube, whose depth is stated `depth` times too large."""
+    """Return presses on a cube, by linear elements, whose depth is stated too large by a factor."""
     plan = PressPlan(("z+", "x+"), (0.01, 0.02))
     recording = simulate(make_phantom(name), plan, mesh=MESH, element="tet4", snr_db=snr_db)
     stated = TetMesh(TOP + (MESH.points - TOP) * [1.0, 1.0, depth], MESH.tets)
@@ -110,7 +110,8 @@ def test_an_inclusion_has_to_explain_more_than_a_discrepancy(recording: Recordin
     assert doubts[1:] == [present | {"heterogeneity": x} for x in Heterogeneity.levels]
     model = problem.uniform()
     ball = ShapeField(problem.prior, (BALL,))
-    model = replace(model, fit=replace(model.fit, field=ball, z=np.append(model.fit.z, np.zeros(5))))
+    z = np.append(model.fit.z, np.zeros(5))
+    model = replace(model, fit=replace(model.fit, field=ball, z=z))
     tried = list[Start]()
     problem.try_model = lambda start, offsets: tried.append(start)  # type: ignore[method-assign]
     problem.offsets = lambda model: []  # type: ignore[method-assign]

@@ -134,7 +134,7 @@ class ErrorSource(ABC):
         return self.note.format(level) if level >= self.noted else ""
 
 
-class ContactError(ErrorSource):
+class ContactMotion(ErrorSource):
     """Errors of the displacements of each contact, over the displacements observed there.
 
     The presses of a contact have them in common: they grow with the displacements, or where that is

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.distance import cdist
 
-from tactorch.inverse.errors.base import ContactError, MeasuredPresses
+from tactorch.inverse.errors.base import ContactMotion, MeasuredPresses
 from tactorch.inverse.forward.palpation import is_palpation
 
 # Correlation length over the root mean square distance of the observed points from their mean: half
@@ -21,7 +21,7 @@ _LENGTH = 0.7
 _LEAST_SHARE = 1e-4  # of the variance, of patterns that are left out
 
 
-class Discrepancy(ContactError):
+class Discrepancy(ContactMotion):
     """Smooth displacements of each contact, over the displacements observed there."""
 
     name, elements = "discrepancy", "linear"

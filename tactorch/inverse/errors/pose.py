@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import orth
 
-from tactorch.inverse.errors.base import ContactError, MeasuredPresses
+from tactorch.inverse.errors.base import ContactMotion, MeasuredPresses
 from tactorch.inverse.forward.footprint import largest_depth
 from tactorch.inverse.forward.palpation import is_palpation
 from tactorch.recording import ProbePose, Recording
@@ -14,7 +14,7 @@ _SAME_PLACE = 0.1  # distance across the approach, over the probe's depth, at wh
 _LEVI_CIVITA = np.stack([np.cross(axis, np.eye(3)).T for axis in np.eye(3)])
 
 
-class RigidMotion(ContactError):
+class RigidMotion(ContactMotion):
     """Rigid motions of each contact, over the displacements observed there."""
 
     name = "pose"

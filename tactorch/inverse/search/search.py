@@ -312,9 +312,7 @@ def _support(
         return fit.log_evidence(inflation)
 
     errors, rival = max(problem.without(model, removed), key=lambda other: evidence(other[1]))
-    scores = [
-        problem.held_out_score(*one) for one in ((model.errors, model.fit), (errors, rival))
-    ]
+    scores = [problem.held_out_score(*one) for one in ((model.errors, model.fit), (errors, rival))]
     known = [len(rival.residuals) * score for score in scores if score is not None]
     predictive = known[0] - known[1] if len(known) == len(scores) else None
     return min(evidence(model.fit) - evidence(rival), MAX_LOG_ODDS), predictive
