@@ -12,6 +12,7 @@ import scipy.integrate
 from tactorch.errors import CancelledError, ConfigError, ConvergenceError
 from tactorch.fem import ELEMENTS, Newton, NewtonOptions
 from tactorch.inverse.errors import ERRORS, ErrorModel, MeasuredPresses
+from tactorch.inverse.errors.discrepancy import Discrepancy
 from tactorch.inverse.fields import (
     BALL,
     ELLIPSOID,
@@ -303,10 +304,14 @@ def test_other_errors_differ_in_one_respect(problem):
     nothing = [np.zeros(count) for count in problem.data.counts]
     errors = ErrorModel(MeasuredPresses(problem, corrections_mm=nothing), ERRORS)
     assert errors.least == {"discretisation": 0.3, "pose": 0.001}
-    others = dict(errors.others({**errors.least, "forces": 0.05}))
+    present = {**errors.least, "forces": 0.05}
+    others = dict(errors.others(present))
     assert {e.get("forces", 0.0) for e in others.values()} == {0.0, 0.02, 0.05, 0.1}
     assert {e["pose"] for e in others.values()} == {0.001, 0.002, 0.01, 0.05}
-    assert all((e.get("forces") == 0.05) != (e["pose"] == 0.001) for e in others.values())
+    for other in others.values():
+        names = present.keys() | other.keys()
+        assert sum(present.get(name) != other.get(name) for name in names) == 1
+    assert {e.get("discrepancy", 0.0) for e in others.values()} == {0.0, *Discrepancy.levels}
     assert set(others) >= {"forces wrong by 0%", "poses wrong by 0.2%"}
 
 
