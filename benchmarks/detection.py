@@ -12,7 +12,7 @@ which of them are wrong.
 A reported inclusion is right where the object has a ball, stiff or soft as stated, and the reported
 centre is in it, or within 1 mm of its centre. A ball can be found where its strength (see
 `tactorch.inverse.fields.strength`) is five times its standard deviation by the Cramer-Rao bound at
-the truth, for the errors that the presses have.
+the truth, for the errors that the presses have. A random field is an error of its spread then.
 
 The last line printed is one JSON object.
 """
@@ -39,6 +39,7 @@ from tactorch.inverse.fit.shapes import ShapesOnSites
 from tactorch.inverse.result.shapes import ShapeInclusion
 from tactorch.inverse.search.problem import ShapeProblem
 from tactorch.mesh import Sphere
+from tactorch.phantoms import Gradient, RandomField
 from tactorch.recording import Recording
 
 NEAR_MM = 1.0
@@ -136,7 +137,10 @@ def deviations(case: Case, recording: Recording) -> float:
     found = _ball(case)
     assert found is not None
     (shape, contrast), problem = found, ShapeProblem(recording, Settings())
-    degree = 0 if isinstance(case.body.phantom.youngs_mpa, float) else 2
+    background, errors = case.body.phantom.youngs_mpa, dict(ERRORS.get(case.fault, {}))
+    degree = 2 if isinstance(background, Gradient) else 0
+    if isinstance(background, RandomField):  # as the search knows it: its levels are a few
+        errors["heterogeneity"] = background.spread
     field = ShapeField(problem.prior, (FAMILIES["ball"],), Background(degree))
     values = np.array([*shape.center_mm, np.log(shape.radius_mm), np.log(contrast)])
     start = np.zeros(field.size)
@@ -145,7 +149,7 @@ def deviations(case: Case, recording: Recording) -> float:
     point = ShapesOnSites(field, problem._reduced_sites).at(field.standard(start))
     evaluation = problem.linear.evaluate(point.youngs)
     problem.errors.linearise(evaluation, "linear")
-    data = problem.data(problem.errors.at_least(ERRORS.get(case.fault, {})))
+    data = problem.data(problem.errors.at_least(errors))
     jacobian = point.jacobian(evaluation.with_data(data)) / field.deviation
     covariance = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12, hermitian=True)
     size = field.index(0, *SIZE)

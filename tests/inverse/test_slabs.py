@@ -14,7 +14,7 @@ from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import Model, Start, with_step
 from tactorch.inverse.search.problem import ShapeProblem
 from tactorch.inverse.search.proposals import changed, split
-from tactorch.inverse.search.search import _support
+from tactorch.inverse.search.search import _over_rival
 from tactorch.inverse.search.slabs import (
     crosses,
     inclusions_as_steps,
@@ -144,7 +144,9 @@ def test_an_inclusion_in_place_of_a_smooth_background_is_not_probable() -> None:
     assert problem.gain(model.fit, plain) > 3.0
     assert problem.gain(model.fit, uniform.fit) > 3.0
     assert problem.gain(model.fit, smooth) < -3.0
-    odds, predictive = _support(problem, model, [0])
+    odds, rival, errors = _over_rival(problem, model, [0])
     assert odds < -3.0
+    score = problem.held_out_score(model.fit, model.errors)
+    predictive = problem.predictive_gain(score, rival, errors)
     assert predictive is not None
     assert predictive < 0.0

@@ -267,10 +267,15 @@ class SearchProblem(ABC):
         for rival in (plain, *smooth, *doubted):
             yield rival.errors, self.try_model(rival, offsets)
 
-    def held_out_score(self, errors: Levels, fit: ShapeFit) -> float | None:
+    def held_out_score(self, fit: ShapeFit, errors: Levels) -> float | None:
         """Return how well a fit predicts the presses of a contact from the others."""
         data, contacts = self.data(errors), contacts_of(self.full.recording)
         return held_out_score(data, contacts, fit.residuals, fit.jacobian, fit.covariance)
+
+    def predictive_gain(self, score: float | None, rival: ShapeFit, errors: Levels) -> float | None:
+        """Return the log-density of held-out presses of a score over that by a rival."""
+        other = None if score is None else self.held_out_score(rival, errors)
+        return None if score is None or other is None else len(rival.residuals) * (score - other)
 
     def offsets(self, model: Model) -> list[np.ndarray]:
         """Return predictions of the reduced model less those of the full one at a model."""

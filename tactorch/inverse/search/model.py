@@ -24,12 +24,10 @@ from tactorch.inverse.fields import (
 )
 from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.shapes import Evidence, ShapeFit, ShapesOnSites
-from tactorch.inverse.forward.palpation import contacts_of
 from tactorch.inverse.forward.predictions import Predictions
 from tactorch.inverse.forward.problem import Evaluation
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction
-from tactorch.inverse.search.held_out import held_out_score
 from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
@@ -204,15 +202,11 @@ def unexplained(model: Model, data: DataModel) -> float:
 def with_predictions(
     result: ShapeReconstruction, model: Model, recording: Recording
 ) -> ShapeReconstruction:
-    """Return a result with the predictions of its model, also of held-out contacts.
+    """Return a result with the predictions of its model.
 
-    The model may be on a refinement of the recording's mesh.
+    It may be on a refinement of the recording's mesh.
     """
-    fit, data = model.fit, model.evaluation.data
-    contacts = contacts_of(recording)
-    score = held_out_score(data, contacts, fit.residuals, fit.jacobian, fit.covariance)
-    predictions = Predictions.of(model.evaluation, recording)
-    return replace(result, predictions=predictions, held_out=score)
+    return replace(result, predictions=Predictions.of(model.evaluation, recording))
 
 
 def make_posterior(model: Model, sites: Sites) -> ShapePosterior:

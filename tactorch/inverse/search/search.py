@@ -13,9 +13,10 @@ import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from tactorch.errors import CancelledError, ConvergenceError
+from tactorch.inverse.errors import Levels
 from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.settings import Settings
@@ -233,16 +234,17 @@ def _result(
     fit = model.fit
     history.append(record("final fit", fit))
     _log.info("final fit: chi2 %.4g", fit.chi2)
-    count = len(fit.field.parts)
-    each = [_support(problem, model, [k]) for k in range(count)]
-    odds_any = each[0][0] if count == 1 else 0.0
+    score, count = problem.held_out_score(fit, model.errors), len(fit.field.parts)
+    each = [_over_rival(problem, model, [k]) for k in range(count)]
+    odds_any = each[0].log_odds if count == 1 else 0.0
     if count > 1:
-        odds_any = _support(problem, model, range(count))[0]
+        odds_any = _over_rival(problem, model, range(count)).log_odds
+    gains = [problem.predictive_gain(score, one.rival, one.errors) for one in each]
     return ShapeReconstruction(
         fit.field, fit.optimum, posterior, fit.chi2,
-        tuple(odds for odds, _ in each), odds_any, model.errors,
-        unexplained(model, problem.full.data), tuple(history),
-        predictive=tuple(gain for _, gain in each),
+        tuple(one.log_odds for one in each), odds_any, model.errors,
+        unexplained(model, problem.full.data), tuple(history), held_out=score,
+        predictive=tuple(gains),
     )  # fmt: skip
 
 
@@ -298,21 +300,20 @@ def _challenge(
     return None
 
 
-def _support(
-    problem: SearchProblem, model: Model, removed: Sequence[int]
-) -> tuple[float, float | None]:
-    """Return the log-evidence of a model over the best one without some inclusions.
+class _Over(NamedTuple):
+    """The log-evidence of a model over that of a rival."""
 
-    The second value is the same of the log-density of the presses of a contact, as the others
-    predict them; None where it is not known.
-    """
+    log_odds: float
+    rival: ShapeFit
+    errors: Levels
+
+
+def _over_rival(problem: SearchProblem, model: Model, removed: Sequence[int]) -> _Over:
+    """Compare a model with the best one without some of its inclusions."""
     inflation = max(1.0, model.fit.chi2)
-
-    def evidence(fit: ShapeFit) -> float:
-        return fit.log_evidence(inflation)
-
-    errors, rival = max(problem.without(model, removed), key=lambda other: evidence(other[1]))
-    scores = [problem.held_out_score(*one) for one in ((model.errors, model.fit), (errors, rival))]
-    known = [len(rival.residuals) * score for score in scores if score is not None]
-    predictive = known[0] - known[1] if len(known) == len(scores) else None
-    return min(evidence(model.fit) - evidence(rival), MAX_LOG_ODDS), predictive
+    others = [
+        _Over(model.fit.log_evidence(inflation) - fit.log_evidence(inflation), fit, errors)
+        for errors, fit in problem.without(model, removed)
+    ]
+    best = min(others, key=lambda other: other.log_odds)
+    return best._replace(log_odds=min(best.log_odds, MAX_LOG_ODDS))
