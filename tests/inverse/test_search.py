@@ -74,9 +74,9 @@ def test_no_provisional_lump_where_there_is_none(uniform: Recording) -> None:
 def test_further_inclusions_are_proposed_up_to_the_limit(recording: Recording) -> None:
     for limit, expected in ((0, 0), (1, 1)):
         problem = ShapeProblem(recording, Settings(), max_shapes=limit)
-        proposals = propose(problem, problem.uniform())
+        proposals = propose(problem, model := problem.uniform())
         assert max(len(p.field.families) for p in proposals) == expected
-        gains = [problem.gain(p.trial, problem.uniform().fit) for p in proposals]
+        gains = [problem.gain(p.trial, model.fit) for p in proposals]
         assert min(gains) > problem.min_gain
 
 
