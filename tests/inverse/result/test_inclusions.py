@@ -140,6 +140,16 @@ def test_a_doubtful_shape_is_no_lump(recording, shapes, inclusions):
     assert describe(finding).startswith("Nothing found: ")
 
 
+@pytest.mark.parametrize(("gain", "status"), [(-0.5, Status.NOTHING), (0.5, Status.FOUND)])
+def test_a_shape_that_predicts_no_held_out_presses_is_no_lump(
+    recording, shapes, inclusions, gain, status
+):
+    doubtful = replace(shapes, predictive=(gain,))
+    assert ShapeReconstruction.of(doubtful.plain()).predictive == (gain,)
+    assert inclusions(recording, doubtful).status is status
+    assert inclusions(recording, shapes).status is Status.FOUND  # where it is not known
+
+
 def test_presses_that_no_model_explains_cannot_tell(recording, shapes, inclusions):
     finding = inclusions(recording, replace(shapes, unexplained=0.3))
     assert finding.status is Status.UNKNOWN
