@@ -4,6 +4,8 @@ tactorch is not imported here: the jaxtyping hook of pytest must see its first i
 """
 
 import os
+from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +55,15 @@ def seed() -> int:
     torch.manual_seed(value)
     np.random.seed(value)  # noqa: NPY002 - libraries under test may use the global state
     return value
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread_per_worker() -> Iterator[None]:
+    """Solve load cases one after the other where other processes of the tests use the cores."""
+    from tactorch.linalg import limit_workers
+
+    with limit_workers(1) if "PYTEST_XDIST_WORKER" in os.environ else nullcontext():
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -14,7 +14,7 @@ import jaxtyping
 from beartype import BeartypeConf, beartype
 
 #: Limit of calls per test after which none is checked; 0 checks all calls.
-MAX_CHECKS = int(os.environ.get("TACTORCH_MAX_CHECKS") or 5000)
+MAX_CHECKS = int(os.environ.get("TACTORCH_MAX_CHECKS") or 1000)
 #: Limit of checks per test and function: of its arguments, and of these with its result.
 MAX_EACH = 20
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hydra._internal.hydra import Hydra
+from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 
@@ -75,12 +76,15 @@ def run_here(arguments: tuple[str | Path, ...]) -> int:
 def read_once() -> Iterator[None]:
     """Read once in this process what each command reads again, and compose settings once.
 
-    Before a run, Hydra composes all settings to learn whether they set `hydra.mode`; none do.
+    Before a run, Hydra composes all settings to learn whether they set `hydra.mode`; none do. For
+    each run it copies its store, which has the settings of all commands here; what it loads from
+    the store it copies again.
     """
     from tactorch.cli import schema
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Hydra, "get_mode", lambda *args, **options: None)
+        patch.setattr(ConfigStore, "__deepcopy__", lambda self, memo: self, raising=False)
         patch.setattr(schema, "_code_key", functools.cache(schema._code_key))
         yield
 

@@ -506,7 +506,7 @@ def test_a_stopped_search_goes_on_from_what_it_reached(recording):
 
 
 def test_a_search_that_is_stopped_in_its_posterior_has_reached_its_final_fit(
-    recording, monkeypatch
+    recording, found, monkeypatch
 ):
     final = []
 
@@ -516,7 +516,7 @@ def test_a_search_that_is_stopped_in_its_posterior_has_reached_its_final_fit(
 
     monkeypatch.setattr(ShapeProblem, "posterior", stopped)
     with pytest.raises(CancelledError) as error:
-        find_shapes(recording, max_shapes=1)
+        find_shapes(recording, max_shapes=1, start=found)
     np.testing.assert_array_equal(error.value.reached.z, final[0].fit.z)
 
 
@@ -533,6 +533,7 @@ def test_presses_without_noise_have_no_spurious_parts():
     assert result.field.n_background == 1
 
 
+@pytest.mark.slow
 def test_layers_are_no_inclusions():
     phantom = make_phantom("cube_layers")
     fine = box_mesh(10.0, 7, tets_per_cell=5)
@@ -673,6 +674,7 @@ def test_meshes_are_refined_at_inclusions_and_small_contacts(recording):
     assert np.isinf(lengths[1])
 
 
+@pytest.mark.slow
 def test_the_correction_is_the_error_of_the_common_mesh():
     """Two pressures of a patch on a coarse mesh: the correction leaves a fraction of the error."""
     recording = simulate(

@@ -12,6 +12,7 @@ from tactorch.linalg.parallel import worker_count
 @pytest.fixture(autouse=True)
 def four_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel.os, "cpu_count", lambda: 4)
+    monkeypatch.setattr(parallel, "_max_workers", ContextVar("no limit of the tests", default=None))
 
 
 def peak_of_nested_calls(outer: int, inner: int) -> int:

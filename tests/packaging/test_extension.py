@@ -79,6 +79,7 @@ def press(used: Completed) -> str:
     return "press.h5"
 
 
+@pytest.mark.slow
 def test_invert_uses_the_prior_and_the_material(folder: Path, press: str) -> None:
     """A prior of great weight holds the map at its level."""
     settings = ("regularization=ridge", "regularization.level_mpa=0.3", "regularization.weight=1e8")

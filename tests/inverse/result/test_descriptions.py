@@ -135,7 +135,7 @@ def test_the_description_that_predicts_held_out_presses_better_is_shown(
 def test_an_element_map_of_wrong_forces_is_not_trusted(error: float) -> None:
     """Forces of one side too large, and of another too small, look like structure."""
     plan = PressPlan(("z+", "x+", "y+"), (0.02,))
-    phantom, mesh = make_phantom("cube_sphere", radius=0.3), box_mesh(10.0, 6, tets_per_cell=5)
+    phantom, mesh = make_phantom("cube_sphere", radius=0.3), box_mesh(10.0, 4, tets_per_cell=5)
     right = simulate(phantom, plan, mesh=mesh, snr_db=40)
     factors = (1.0 + error, 1.0 - error, 1.0)
     presses = zip(right.presses, factors, strict=True)
