@@ -3,6 +3,7 @@
 tactorch is not imported here: the jaxtyping hook of pytest must see its first import.
 """
 
+import gc
 import os
 from collections.abc import Iterator
 from contextlib import nullcontext
@@ -41,6 +42,13 @@ class AtOnce:
 def pytest_configure(config: pytest.Config) -> None:
     if os.environ.get("CI") and not hasattr(config, "workerinput"):
         config.pluginmanager.register(AtOnce(config), "at-once")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_finish() -> None:
+    """Keep modules and tests, which stay to the end, out of each search for unused objects."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(tryfirst=True)

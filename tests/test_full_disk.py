@@ -142,10 +142,11 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("free", "reason"),
     [
-        pytest.param(100, "cannot write", marks=pytest.mark.slow),
+        (100, "cannot write"),
         (600, "'missing.h5' is not"),
     ],
 )
+@pytest.mark.slow
 def test_a_log_that_is_full_within_a_record_ends_with_one_line(
     free: int, reason: str, tmp_path: Path
 ) -> None:

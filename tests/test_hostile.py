@@ -498,6 +498,10 @@ SHARED = {("table", "long text in each row"), ("volume", "longer than stated (nr
 
 #: Files that take long to make; others of their kind are quick.
 LONG = {
+    ("arrays", "expands (bzip2)"),
+    ("arrays", "expands (lzma)"),
+    ("vtk", "expands (lzma)"),
+    ("volume", "expands (DICOM)"),
     ("arrays", "states less (bzip2)"),
     ("arrays", "states less (lzma)"),
     ("volume", "longer than stated (nrrd)"),

@@ -161,6 +161,7 @@ def test_ctrl_c_reaches_no_worker() -> None:
 import os, signal, time
 from tactorch.processes import run_in_processes
 def ignores(_): return signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+signal.signal(signal.SIGINT, signal.default_int_handler)  # it is ignored in the background
 print(list(run_in_processes(ignores, [0, 1], workers=2)))
 print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)
 """

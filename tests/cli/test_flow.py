@@ -221,6 +221,7 @@ def test_demo_simulates_and_inverts(tactorch: Any) -> None:
     assert Recording.load(run / "recording.h5").truth is not None
 
 
+@pytest.mark.slow
 def test_demo_runs_on_a_published_case(tactorch: Any, published: Path) -> None:
     quick = (*QUICK, "method=auto")
     done = tactorch("demo", "source=published", f"path={published}", "run_dir=d", *quick)

@@ -71,6 +71,7 @@ TOUCH = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_generate_writes_touches_with_their_pictures(tactorch: Any, tmp_path: Path) -> None:
     done = tactorch("generate", *TOUCH, f"out={tmp_path / 'touch'}")
     assert done.status == 0, done.err

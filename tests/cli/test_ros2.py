@@ -35,6 +35,7 @@ def test_a_bag_of_a_palpation_becomes_a_recording(tactorch: Any, tmp_path: Path)
     assert not Path("q.h5").exists()
 
 
+@pytest.mark.slow
 def test_a_session_of_a_bag_is_recorded_as_its_files_are(
     tactorch: Any, files: Path, calibration: Path, tmp_path: Path
 ) -> None:

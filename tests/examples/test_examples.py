@@ -128,6 +128,7 @@ def test_robot(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["off_mm"] < 0.6
 
 
+@pytest.mark.slow
 def test_image_to_force(capsys: pytest.CaptureFixture[str]) -> None:
     """From a finer gel's press: within a fifth along z, and sheared the right way."""
     found = run("image_to_force", capsys)

@@ -94,6 +94,7 @@ class Recorded(ContactShift):
         return super().nonlinear_changes(presses, amplitudes)
 
 
+@pytest.mark.slow
 def test_large_shifts_change_more_than_the_patterns() -> None:
     recording = pressed((3.0, 5.0), (5.0, 5.0))
     problem = InverseProblem(recording, element="tet10")

@@ -68,7 +68,9 @@ def test_after_the_last_press_the_map_is_as_good_as_that_of_a_whole_inversion(
     assert growing.recording.presses == noisy.presses
 
 
-@pytest.mark.parametrize("model_error", ["none", "discretisation"])
+@pytest.mark.parametrize(
+    "model_error", ["none", pytest.param("discretisation", marks=pytest.mark.slow)]
+)
 def test_restarted_updates_are_whole_inversions_from_the_map_before(
     noisy: Recording, model_error: str
 ) -> None:

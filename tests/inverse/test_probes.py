@@ -79,7 +79,7 @@ def _problem(recording: Recording, element: str = "tet4") -> InverseProblem:
     return InverseProblem(recording, element=element, newton=NewtonOptions(rtol=1e-12))
 
 
-@pytest.mark.parametrize("element", ["tet4", "tet10"])
+@pytest.mark.parametrize("element", ["tet4", pytest.param("tet10", marks=pytest.mark.slow)])
 def test_derivatives_are_finite_differences(recording: Recording, element: str) -> None:
     problem = _problem(recording, element)
     evaluation = problem.evaluate(YOUNGS)

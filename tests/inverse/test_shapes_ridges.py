@@ -194,6 +194,7 @@ def test_one_point_is_the_normal_distribution_of_the_logarithms():
     st.tuples(st.floats(0.05, 1.5), st.floats(0.03, 0.6)),
     st.booleans(),
 )
+@pytest.mark.slow
 def test_estimates_are_within_their_intervals(radius, ratio, soft, errors, has_ridge):
     """Also where the best fit is elsewhere, as that of a ball beside those of ellipsoids."""
     posterior = FarField(radius, 1.0 / ratio if soft else ratio, errors).posterior()

@@ -77,6 +77,7 @@ def test_the_search_finds_the_length(share: float) -> None:
     assert [number for number, *_ in shown] == [*range(1, len(shown) + 1)]
 
 
+@pytest.mark.slow
 def test_small_features_widen_the_envelope_up_to_a_limit_and_are_told(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

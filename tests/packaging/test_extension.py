@@ -41,6 +41,9 @@ slope_map.fit(features, features @ matrix, 0)
 print(np.allclose(slope_map(features), features @ matrix), "affine" in SENSOR_MAPS.names())
 """
 
+# Each starts processes that import everything.
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -79,7 +82,6 @@ def press(used: Completed) -> str:
     return "press.h5"
 
 
-@pytest.mark.slow
 def test_invert_uses_the_prior_and_the_material(folder: Path, press: str) -> None:
     """A prior of great weight holds the map at its level."""
     settings = ("regularization=ridge", "regularization.level_mpa=0.3", "regularization.weight=1e8")
@@ -93,7 +95,6 @@ def test_invert_uses_the_prior_and_the_material(folder: Path, press: str) -> Non
     assert result.config["material"]["name"] == "yeoh_extra"
 
 
-@pytest.mark.slow
 def test_settings_of_the_package_are_checked_and_documented(folder: Path, press: str) -> None:
     command = ("-m", "tactorch", "invert", f"recording={press}", "regularization=ridge")
     done = run(folder, *command, "regularization.level_mpa=-1")
@@ -103,7 +104,6 @@ def test_settings_of_the_package_are_checked_and_documented(folder: Path, press:
     assert "Expected modulus" in shown
 
 
-@pytest.mark.slow
 def test_without_the_package_the_names_are_unknown(folder: Path, press: str) -> None:
     command = ("-m", "tactorch", "invert", f"recording={press}", "run_dir=none")
     done = run(folder, *command, "regularization=ridge", installed=False)

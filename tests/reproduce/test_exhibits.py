@@ -101,6 +101,7 @@ def test_table1_holds_both_methods_beside_the_paper(out):
     assert "lower bound" in text
 
 
+@pytest.mark.slow
 def test_maps_of_the_models_come_from_the_same_cases(out):
     made("fig4", out)
     stored = sorted(path.name for path in (out / "cases" / "models").glob("*.npz"))

@@ -133,6 +133,7 @@ def test_poses_survive_as_plain_values(make_presser: Make, patches: list[Patch])
     assert again.seen[name].patch.radius_mm == 2.5
 
 
+@pytest.mark.slow
 def test_the_finer_mesh_agrees_far_from_the_rim(predicted: Any) -> None:
     presser, press, prediction = predicted
     assert prediction is not None

@@ -97,6 +97,7 @@ def test_colours_tell_radii_roughly() -> None:
         assert contact / drawn.MM_PER_PX == pytest.approx(edge, abs=3.0)
 
 
+@pytest.mark.slow
 def test_a_press_that_disagrees_is_named_and_left_out() -> None:
     """One image is of a ball of half the radius."""
     agreeing = presses()
@@ -118,6 +119,7 @@ def test_drift_of_the_light_is_removed(shift: tuple[float, float, float]) -> Non
     np.testing.assert_allclose(image_change(lit, plain), 0.0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_presses_at_one_position_take_a_map_of_colours_alone() -> None:
     few = [replace(press, circle=replace(press.circle, radius_px=60.0)) for press in presses()[:3]]
     name, quality = select_map(few, replace(BALL, radius_mm=4.0), FitOptions(rounds=0))

@@ -140,6 +140,7 @@ def test_noise_is_recorded_and_independent_between_presses(phantom: Phantom, mes
     assert seen(alone.presses[1]).tobytes() == seen(noisy.presses[1]).tobytes()
 
 
+@pytest.mark.slow
 def test_presses_are_those_of_the_object() -> None:
     """The default agrees with a mesh by fTetWild, whose elements are inside or outside."""
     phantom = make_phantom("cube_sphere")

@@ -49,7 +49,9 @@ def test_names_of_presses_are_drawn_literally(name: str, suffix: str, tmp_path: 
         ElementTree.parse(path)
 
 
-@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize(
+    "name", [*HOSTILE[:4], *(pytest.param(name, marks=pytest.mark.slow) for name in HOSTILE[4:])]
+)
 @pytest.mark.filterwarnings("ignore:Glyph:UserWarning")
 def test_legends_ticks_and_titles_are_drawn_literally(name: str, tmp_path: Path) -> None:
     label = name or "empty"
