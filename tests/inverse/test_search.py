@@ -189,8 +189,10 @@ def test_the_best_proposal_is_accepted(
     full = dict(zip([proposal.what for proposal in proposals], gains, strict=True))
     calls: list[str] = []
 
-    def challenge(proposal: Proposal, _: Model, rival: Model | None) -> Mock:
+    def challenge(proposal: Proposal, _: Model, margin: float, rival: Model | None) -> Mock:
         calls.append(proposal.what)
+        # A fit goes on while it may have the gain that is needed.
+        assert margin == (-proposal.least_gain if rival is None else 0.0)
         fit = _evidence(full[proposal.what])
         fit.configure_mock(field=proposal.field, z=np.ones(proposal.field.size))
         return Mock(spec=Model, fit=fit)

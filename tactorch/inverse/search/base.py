@@ -200,9 +200,9 @@ class SearchProblem(ABC):
 
         It is fitted from that model, and compared with a rival if there is one.
 
-        A fit that will hardly have more, or less by no more than a margin, ends early: before its
-        first step, whose gain is predicted by the derivatives of the reduced model, or between
-        steps.
+        A fit that will hardly have more, or less by no more than a margin, which may be negative,
+        ends early: before its first step, whose gain is predicted by the derivatives of the reduced
+        model, or between steps.
         """
         self._check()
         problem = self.full.with_data(self.data(start.errors))

@@ -291,7 +291,8 @@ def _challenge(
 ) -> Model | None:
     """Return a proposal fitted with the full model; None without enough evidence."""
     with suppress(ConvergenceError), progress_line(proposal.what):
-        trial = problem.challenge(proposal, model, rival=rival)
+        missing = -proposal.least_gain if rival is None else 0.0
+        trial = problem.challenge(proposal, model, missing, rival)
         change = problem.gain(trial.fit, model.fit)
         _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)
         is_better = rival is None or problem.gain(trial.fit, rival.fit) > 0.0
