@@ -661,7 +661,7 @@ VALID: list[tuple[str, Callable[[Path], Path]]] = [
     *(("surface", valid_mesh(suffix)) for suffix in (".stl", ".obj", ".ply")),
     *(("vtk", valid_vtk(suffix)) for suffix in (".vtu", ".vtk", ".vtp")),
 ]
-QUICK, FULL = 5, 100
+QUICK, FULL = 3, 100
 
 
 def damaged(content: bytes, rng: np.random.Generator) -> bytes:

@@ -35,6 +35,7 @@ def test_a_volume_becomes_a_body_with_regions(tactorch: Any, labels: Path, tmp_p
     assert mesh.volumes.sum() == pytest.approx(800.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_volume_is_simulated_and_inverted_by_region(
     tactorch: Any, labels: Path, tmp_path: Path
 ) -> None:

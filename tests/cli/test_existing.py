@@ -81,6 +81,7 @@ def test_a_folder_named_by_settings_is_not_replaced(tactorch: Any) -> None:
     assert "run_dir=runs/3 holds the results" in refused.err
 
 
+@pytest.mark.slow
 def test_a_sweep_is_not_replaced(tactorch: Any) -> None:
     words = ("simulate", "-m", *CUBE, "seed=1,2", "run_dir=sweep")
     assert tactorch(*words).status == 0

@@ -18,6 +18,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("data") / "shapes"
 
 
+@pytest.mark.slow
 def test_generate_writes_a_dataset_with_its_card(tactorch: Any, folder: Path) -> None:
     done = tactorch("generate", *TINY, f"out={folder}")
     assert done.status == 0, done.err

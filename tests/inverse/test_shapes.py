@@ -507,6 +507,7 @@ def test_a_stopped_search_goes_on_from_what_it_reached(recording):
     assert (np.abs(result.z - expected.z) < deviation).all()
 
 
+@pytest.mark.slow
 def test_a_search_that_is_stopped_in_its_posterior_has_reached_its_final_fit(
     recording, found, monkeypatch
 ):

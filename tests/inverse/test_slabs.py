@@ -133,6 +133,7 @@ def test_each_step_of_a_background_is_tried_without() -> None:
     np.testing.assert_allclose(logs, expected[0].log_youngs(expected[1], POINTS))
 
 
+@pytest.mark.slow
 def test_an_inclusion_in_place_of_a_smooth_background_is_not_probable() -> None:
     """A large ball explains a body that is stiffer at one side better than a uniform one."""
     gradient = Gradient((0.0, 0.0, 0.0), (10.0, 0.0, 10.0), 0.15, 0.3)
