@@ -32,7 +32,7 @@ HISTORY = [{"iteration": i, "seconds": 1.0 * i, "misfit": 0.1**i} for i in range
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-@pytest.mark.parametrize("suffix", [".png", ".svg"])
+@pytest.mark.parametrize("suffix", [pytest.param(".png", marks=pytest.mark.slow), ".svg"])
 @pytest.mark.filterwarnings("ignore:Glyph:UserWarning")
 def test_names_of_presses_are_drawn_literally(name: str, suffix: str, tmp_path: Path) -> None:
     mesh = box_mesh(10.0, 2)
