@@ -424,7 +424,7 @@ def test_a_background_that_varies_gives_way_to_inclusions(recording, found):
     field, z = varied(found.field, found.z, degree=2)
     start = Start("before", field, z, {"pose": 0.001})
     result = find_shapes(recording, max_shapes=1, start=start)
-    assert result.history[1]["model"] == "uniform background"
+    assert result.history[1]["model"] == "background of degree 0"
     assert result.field.background.degree == 0
     assert len(result.inclusions) == 1
 
