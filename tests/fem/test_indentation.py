@@ -79,7 +79,7 @@ def test_pressures_have_the_least_energy_that_does_not_pull(seed: int, size: int
     matrix, depth = root.T @ root, rng.standard_normal(size)
     found, rates = contact_coefficients(matrix[None], depth[None])
     expected, _ = nnls(root, np.linalg.solve(root.T, depth))
-    assert found[0] == pytest.approx(expected, rel=1e-6, abs=1e-6)
+    assert found[0] == pytest.approx(expected, rel=1e-9, abs=1e-6)
     step = 1e-6
     moved, _ = contact_coefficients(matrix[None], depth[None] + step)
     if ((found > 0.0) == (moved > 0.0)).all():

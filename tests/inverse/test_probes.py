@@ -100,7 +100,6 @@ def test_derivatives_are_finite_differences(recording: Recording, element: str) 
     )
 
 
-@pytest.mark.slow
 def test_motions_of_probes_are_finite_differences(recording: Recording) -> None:
     recording = replace(recording, presses=recording.presses[::2])
     problem = _problem(recording, "tet10")

@@ -509,7 +509,7 @@ def test_a_stopped_search_goes_on_from_what_it_reached(recording):
 
 @pytest.mark.slow
 def test_a_search_that_is_stopped_in_its_posterior_has_reached_its_final_fit(
-    recording, found, monkeypatch
+    recording, monkeypatch
 ):
     final = []
 
@@ -519,7 +519,7 @@ def test_a_search_that_is_stopped_in_its_posterior_has_reached_its_final_fit(
 
     monkeypatch.setattr(ShapeProblem, "posterior", stopped)
     with pytest.raises(CancelledError) as error:
-        find_shapes(recording, max_shapes=1, start=found)
+        find_shapes(recording, max_shapes=1)
     np.testing.assert_array_equal(error.value.reached.z, final[0].fit.z)
 
 
@@ -677,7 +677,6 @@ def test_meshes_are_refined_at_inclusions_and_small_contacts(recording):
     assert np.isinf(lengths[1])
 
 
-@pytest.mark.slow
 def test_the_correction_is_the_error_of_the_common_mesh():
     """Two pressures of a patch on a coarse mesh: the correction leaves a fraction of the error."""
     recording = simulate(

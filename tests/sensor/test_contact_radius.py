@@ -97,7 +97,6 @@ def test_colours_tell_radii_roughly() -> None:
         assert contact / drawn.MM_PER_PX == pytest.approx(edge, abs=3.0)
 
 
-@pytest.mark.slow
 def test_a_press_that_disagrees_is_named_and_left_out() -> None:
     """One image is of a ball of half the radius."""
     agreeing = presses()

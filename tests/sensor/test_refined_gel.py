@@ -94,7 +94,6 @@ def test_force_of_a_contact_with_a_sharp_edge(
     assert np.abs(found.forces[~inside]).max() == 0.0
 
 
-@pytest.mark.slow
 def test_errors_of_forces_follow_from_those_of_displacements(
     gel: RefinedGel, found: GelContact, truth: tuple[np.ndarray, ...]
 ) -> None:
