@@ -205,7 +205,7 @@ def invert_by_shapes(recording: Recording, settings: Settings) -> Answer:
     seconds = time.perf_counter() - began
     lumps = tuple(
         FoundLump(
-            i.shape.center_mm,
+            tuple(i.shape.centroid_mm),
             i.shape.radius_mm,
             i.youngs_mpa,
             i.probability,

@@ -6,11 +6,13 @@ from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 
 from tactorch.config import Options, option
-from tactorch.errors import ConfigError
+from tactorch.errors import ConfigError, MeshError
 from tactorch.mesh.closest import closest_points
-from tactorch.mesh.tetmesh import FaceName, TetMesh
+from tactorch.mesh.geometry import farthest_point_order
+from tactorch.mesh.tetmesh import FaceName, TetMesh, face_nodes, select_face
 from tactorch.mesh.topology import Surface
 
 Point = tuple[float, float, float]
@@ -81,7 +83,8 @@ class SurfaceSite:
 class PressPlan(Options):
     """Presses on flat faces with increasing pressure, the opposite face supported.
 
-    With `points_mm` presses are on a surface of any shape, and the side `base` is supported.
+    With `points_mm` or a number of `points` presses are on a surface of any shape, and the side
+    `base` is supported.
 
     Pressure is a dead load: per area of the undeformed object, along the undeformed normal.
     `pressures_mpa`, `p_max_mpa` and `steps` are made consistent; the first has precedence.
@@ -116,7 +119,12 @@ class PressPlan(Options):
         " patch_radius_mm, instead of faces",
         unit="mm", nonempty=True,
     )  # fmt: skip
-    base: FaceName = option("z-", "Supported side of presses at points_mm")
+    points: int | None = option(
+        None, "Number of points that are spread over the surface, away from its edges and the base,"
+        " instead of points_mm",
+        ge=1,
+    )  # fmt: skip
+    base: FaceName = option("z-", "Supported side of presses at points")
 
     def __post_init__(self) -> None:
         faces: Any = self.faces
@@ -132,10 +140,11 @@ class PressPlan(Options):
             raise ConfigError(f"press.pressures_mpa={list(self.pressures)} must increase.")
         object.__setattr__(self, "p_max_mpa", self.pressures[-1])
         object.__setattr__(self, "steps", len(self.pressures))
-        if self.points_mm is not None and self.patch_radius_mm is None:
-            raise ConfigError("press.points_mm needs press.patch_radius_mm, that of the tool.")
-        if self.points_mm is not None and self.patch_centers_mm is not None:
-            raise ConfigError("press.points_mm and press.patch_centers_mm are given; give one.")
+        given = [n for n in ("points_mm", "points", "patch_centers_mm") if getattr(self, n)]
+        if len(given) > 1:
+            raise ConfigError(f"press.{given[0]} and press.{given[1]} are given; give one.")
+        if given and given[0] != "patch_centers_mm" and self.patch_radius_mm is None:
+            raise ConfigError(f"press.{given[0]} needs press.patch_radius_mm, that of the tool.")
         if self.patch_centers_mm is not None and self.patch_radius_mm is None:
             raise ConfigError(
                 "press.patch_centers_mm is given without press.patch_radius_mm; give both."
@@ -143,20 +152,42 @@ class PressPlan(Options):
 
     def sites_on(self, mesh: TetMesh) -> "tuple[PressSite | SurfaceSite, ...]":
         """Return all pressed locations on a mesh."""
-        if self.points_mm is None:
+        if self.points_mm is None and self.points is None:
+            try:
+                for site in self.sites:
+                    select_face(mesh, site.face)
+            except MeshError as error:
+                advice = "press=around presses points that are spread over a curved surface."
+                raise MeshError(f"press.faces: {error} {advice}") from error
             return self.sites
         surface = mesh.surface
-        closest = closest_points(mesh.points, surface.triangles, np.array(self.points_mm))
+        points = self._spread(mesh) if self.points_mm is None else np.array(self.points_mm)
+        closest = closest_points(mesh.points, surface.triangles, points)
         farthest = int(closest.distances.argmax())
         if closest.distances[farthest] > _MAX_DISTANCE * mesh.diagonal:
             raise ConfigError(
-                f"press.points_mm: {list(self.points_mm[farthest])} is "
+                f"press.points_mm: {points[farthest].tolist()} is "
                 f"{closest.distances[farthest]:.3g} mm from the surface of the body; move it there."
             )
         return tuple(
             SurfaceSite(point, -_normal(surface, int(triangle), weights), self.base)
             for triangle, weights, point, _ in zip(*closest, strict=True)
         )
+
+    def _spread(self, mesh: TetMesh) -> Float[np.ndarray, "k 3"]:
+        """Return nodes of the surface, each far from those before it, the highest first."""
+        nodes, radius = mesh.surface.nodes(), self.patch_radius_mm or 0.0
+        points, base = mesh.points[nodes], mesh.points[face_nodes(mesh, self.base)]
+        apart = [cKDTree(p).query(points)[0] for p in (_sharp_nodes(mesh), base) if len(p)]
+        free = points[np.min(apart, axis=0) >= radius]
+        if len(free) < (self.points or 0):
+            raise ConfigError(
+                f"press.points={self.points}: the surface has {len(free)} nodes that are "
+                f"press.patch_radius_mm={radius:g} away from edges and the side {self.base}; ask "
+                "for fewer points, or use a smaller radius or a finer mesh."
+            )
+        heights = free @ (np.eye(3)["xyz".index(self.base[0])] * (-1 if self.base[1] == "+" else 1))
+        return free[farthest_point_order(free, self.points or 0, int(heights.argmax()))]
 
     @property
     def pressures(self) -> tuple[float, ...]:
@@ -169,6 +200,17 @@ class PressPlan(Options):
         if self.patch_centers_mm is None:
             return tuple(PressSite(face) for face in self.faces)
         return tuple(PressSite(f, center) for f in self.faces for center in self.patch_centers_mm)
+
+
+def _sharp_nodes(mesh: TetMesh) -> Float[np.ndarray, "k 3"]:
+    """Return the nodes of the surface at sharp edges, mm."""
+    surface = mesh.surface
+    edges = np.sort(surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    order = np.lexsort(edges.T)  # the two triangles of an edge follow each other
+    first, second = surface.normals[order.reshape(-1, 2) // 3].transpose(1, 0, 2)
+    is_sharp = (first * second).sum(axis=1) < _SHARP
+    found: np.ndarray = mesh.points[np.unique(edges[order[::2]][is_sharp])]
+    return found
 
 
 def _normal(

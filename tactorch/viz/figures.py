@@ -79,7 +79,7 @@ def _(shapes: ShapeReconstruction, *, point_mm: Float[np.ndarray, "3"] | None = 
     low, high = shapes.field.prior.low_mm, shapes.field.prior.high_mm
     if point_mm is None:
         found = shapes.inclusions
-        point_mm = np.array(found[0].shape.center_mm) if found else 0.5 * (low + high)
+        point_mm = found[0].shape.centroid_mm if found else 0.5 * (low + high)
     return _field_figure(shapes.youngs_at, (low, high), point_mm)
 
 

@@ -22,7 +22,7 @@ from tactorch.inverse.fields.inclusion import Parameters
 from tactorch.inverse.fit.shapes import ShapesOnSites, fit_shapes
 from tactorch.inverse.forward.problem import InverseProblem
 from tactorch.inverse.posterior.shapes import ShapePosterior
-from tactorch.inverse.result.shapes import ShapeReconstruction
+from tactorch.inverse.result.shapes import InclusionValues, ShapeReconstruction
 from tactorch.inverse.search.model import as_judged, with_family
 from tactorch.mesh import Box, box_mesh
 from tactorch.phantoms import make_phantom
@@ -85,6 +85,7 @@ def test_the_body_is_where_the_modulus_differs(name):
     np.testing.assert_array_equal(shape.distance(points) <= 0.0, inside)
     assert 1000.0 * inside.mean() == pytest.approx(4.0 / 3.0 * np.pi * 2.2**3, rel=0.03)
     assert shape.radius_mm == pytest.approx(2.2)
+    np.testing.assert_allclose(points[inside].mean(axis=0), shape.centroid_mm, atol=0.05)
     largest = np.abs(points[inside] - shape.center_mm).max(axis=0)
     assert (largest <= shape.half_size_mm).all()
     np.testing.assert_allclose(largest, shape.half_size_mm, rtol=0.05)
@@ -121,6 +122,8 @@ def test_results_and_pictures_are_of_any_family(name):
     (inclusion,) = ShapeReconstruction.of(json.loads(json.dumps(result.plain()))).inclusions
     assert inclusion.shape == next(field.shapes(result.estimate))
     assert np.abs(result.estimate - z).max() < 2e-3
+    centers = InclusionValues.of(field, result.samples, 0).center_mm
+    np.testing.assert_allclose(centers.mean(axis=0), inclusion.shape.centroid_mm, atol=0.01)
     assert inclusion.youngs_mpa == pytest.approx(0.2 * np.exp(1.2), rel=5e-3)
     low, high = inclusion.radius_90_mm
     assert np.log(high / low) == pytest.approx(2 * 1.645 * 0.01 * PRIOR.log_radius, rel=0.1)

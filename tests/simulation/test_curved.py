@@ -93,6 +93,31 @@ def test_the_surface_moves_inward_where_it_is_pressed(tmp_path: Path) -> None:
     assert Phantom.from_config(stored).body == phantom.body
 
 
+@pytest.mark.parametrize(("base", "axis", "sign"), [("z-", 2, 1.0), ("x+", 0, -1.0)])
+def test_points_are_spread_over_the_surface_away_from_edges(
+    base: str, axis: int, sign: float
+) -> None:
+    spread = PressPlan(points=9, patch_radius_mm=2.0, pressures_mpa=(0.01,), base=base)
+    block = box_mesh(10.0, 10)
+    points = np.array([site.point_mm for site in spread.sites_on(block)])
+    assert points.shape == (9, 3)
+    on_sides = np.isclose(np.abs(points - 5.0), 5.0)
+    assert (on_sides.sum(axis=1) == 1).all()
+    assert (np.abs(points - 5.0)[~on_sides] <= 3.0 + 1e-9).all()
+    assert not np.isclose(sign * points[:, axis], sign * 5.0 - 5.0).any()  # the base
+    assert np.isclose(sign * points[0, axis], sign * 5.0 + 5.0)
+    apart = np.linalg.norm(points[:, None] - points, axis=2) + 99.0 * np.eye(9)
+    assert apart.min() > 4.0
+
+
+def test_points_of_a_dome_are_on_its_curved_side() -> None:
+    around = PressPlan(points=5, patch_radius_mm=1.5, pressures_mpa=(0.01,))
+    sites = around.sites_on(dome(10))
+    top = [site for site in sites if site.direction[2] < -0.8]
+    assert top
+    assert top[0].point_mm[2] == pytest.approx(5.0)  # the highest
+
+
 def test_a_plan_survives_its_configuration() -> None:
     first = plan((1, 2, 3), base="y-")
     assert PressPlan.from_mapping(to_mapping(first)) == first
@@ -103,6 +128,13 @@ def test_a_plan_survives_its_configuration() -> None:
     [
         (lambda: PressPlan(points_mm=[(1, 2, 3)]), ConfigError, "patch_radius_mm"),
         (lambda: plan((1, 2, 3), patch_centers_mm=[(1, 2, 3)]), ConfigError, "give one"),
+        (lambda: PressPlan(points=3), ConfigError, "press.points needs press.patch_radius_mm"),
+        (lambda: plan((1, 2, 3), points=3), ConfigError, "points_mm and press.points are given"),
+        (
+            lambda: PressPlan(points=99, patch_radius_mm=1.5).sites_on(BOX), ConfigError,
+            "press.points=99: the surface has 77 nodes",
+        ),
+        (lambda: PressPlan().sites_on(dome()), MeshError, "press.faces: No .* press=around"),
         (lambda: plan((5, 5, 9)).sites_on(BOX), ConfigError, r"\[5.0, 5.0, 9.0\] is 5 mm from"),
         (
             lambda: nodes_under(BOX, plan((5.5, 5.5, 4)).sites_on(BOX)[0], 0.3), ConfigError,

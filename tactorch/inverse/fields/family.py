@@ -115,6 +115,10 @@ class Family(ABC):
             float(np.exp(own.log_contrast)),
         )
 
+    def centroids(self, own: Parameters) -> Float[np.ndarray, "*draws 3"]:
+        """Return the centre of volume, or that of each draw, mm."""
+        return own.center
+
     @cached_property
     def basis(self) -> Float[np.ndarray, "k 3 3"]:
         """The matrices of the distortions."""

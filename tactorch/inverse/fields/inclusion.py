@@ -137,6 +137,11 @@ class InclusionShape:
         return float(np.cbrt(self.unit_volume * np.prod(self.semi_axes_mm)))
 
     @property
+    def centroid_mm(self) -> Float[np.ndarray, "3"]:
+        """Centre of volume, mm."""
+        return np.array(self.center_mm)
+
+    @property
     def detail_mm(self) -> float:
         """Length within which strains change near the boundary."""
         return self.radius_mm

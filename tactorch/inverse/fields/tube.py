@@ -98,12 +98,14 @@ class TubeShape(InclusionShape):
         nodes_mm: Nodes of the curve of a rod; the axis of the circle of a ring, alone.
         tube_mm: Radius of the tube, at the centre of a tapered rod.
         ball_mm: Radius of the ball of its volume.
+        balance_mm: Centre of volume, from the centre.
         slope: Change of the radius of a rod along it.
     """
 
     nodes_mm: tuple[tuple[float, ...], ...]
     tube_mm: float
     ball_mm: float
+    balance_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     slope: float = 0.0
 
     @property
@@ -138,6 +140,11 @@ class TubeShape(InclusionShape):
     def radius_mm(self) -> float:
         """Radius of the ball of the same volume."""
         return self.ball_mm
+
+    @property
+    def centroid_mm(self) -> Vector:
+        """Centre of volume, mm."""
+        return np.add(self.center_mm, self.balance_mm)
 
     @property
     def detail_mm(self) -> float:
@@ -209,7 +216,17 @@ class TubeFamily(Family):
             tuple(tuple(row) for row in self.nodes(own).tolist()),
             self._radius(own)[0],
             float(np.exp(own.log_radius)),
+            tuple(self.balance(own).tolist()),
         )
+
+    def centroids(self, own: Parameters) -> Float[np.ndarray, "*draws 3"]:
+        if own.center.ndim == 1:
+            return own.center + self.balance(own)
+        return np.array([self.centroids(Parameters(*draw)) for draw in zip(*own, strict=True)])
+
+    def balance(self, own: Parameters) -> Vector:
+        """Return the centre of volume, from the centre, mm."""
+        return np.zeros(3)
 
     def extents(self, own: Parameters) -> tuple[Vector, Float[np.ndarray, "3 3"]]:
         """Return half the extents of the curve along its principal axes, and these, the rows."""
@@ -321,6 +338,26 @@ class TaperedRodFamily(RodFamily):
         assert isinstance(shape, TubeShape)
         return replace(shape, slope=float(_slope(*self._sizes(own)[:3]).real))
 
+    def balance(self, own: Parameters) -> Vector:
+        """Return the centre of volume, from the centre: of the frustum and its two caps, mm."""
+        radius, size, taper, ball = self._sizes(own)
+        slope = float(_slope(radius, size, taper).real)
+        balls = radius + slope * size * np.array([-1.0, 1.0])
+        ends = np.array([-size, size])
+        (first, last), circles = ends - slope * balls, balls * np.sqrt(1.0 - slope**2)
+        total = 0.0
+        for part, (low, high) in enumerate(
+            [(-size - balls[0], first), (first, last), (last, size + balls[1])]
+        ):
+            # Areas are squares of positions, so that two points are exact.
+            y = 0.5 * (low + high) + 0.5 * (high - low) * np.array([-1.0, 1.0]) / np.sqrt(3.0)
+            if part == 1:
+                area = np.interp(y, (first, last), circles) ** 2
+            else:
+                area = balls[part // 2] ** 2 - (y - ends[part // 2]) ** 2
+            total += 0.5 * (high - low) * float(area @ y)
+        return own.distortions[:3] / size * (0.75 * total / ball**3)
+
     def distance(self, own: Parameters, points: Samples) -> Distances:
         radius, size, taper, _ = self._sizes(own)
         slope = float(_slope(radius, size, taper).real)
@@ -382,6 +419,18 @@ class BentRodFamily(RodFamily):
         slopes = np.multiply.outer(t, np.eye(3)) + np.multiply.outer(f, by_half)
         slopes = np.concatenate([slopes, np.multiply.outer(f, across)], axis=2)
         return np.outer(t, half) + np.outer(f, across @ bend), slopes
+
+    def balance(self, own: Parameters) -> Vector:
+        """Return the centre of volume, from the centre: of the tube and the halves of a ball, mm.
+
+        Where the tube bends, its centre of volume is outside the curve by as much as the halves of
+        the ball are beyond the ends.
+        """
+        nodes, radius = self.curve(own)[0], self._radius(own)[0]
+        lengths = length(np.diff(nodes, axis=0))
+        middles = 0.5 * (nodes[1:] + nodes[:-1])
+        total = lengths @ middles + 2.0 / 3.0 * radius * (nodes[0] + nodes[-1])
+        return np.asarray(total / (lengths.sum() + 4.0 / 3.0 * radius))
 
     def vectors_of(self, cloud: Cloud) -> Float[np.ndarray, "vectors 3"]:
         """Return the vectors of the parabola through the points."""

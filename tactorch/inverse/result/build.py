@@ -85,7 +85,7 @@ def _warnings_of(result: ShapeReconstruction) -> tuple[str, ...]:
 def _lump(recording: Recording, found: ShapeInclusion) -> Lump:
     """Return an inclusion as a lump; the truth that the recording may carry is not read."""
     mesh, shape = recording.mesh, found.shape
-    center = np.array(shape.center_mm)
+    center = shape.centroid_mm
     inside = shape.contains(mesh.centroids)
     if not inside.any():  # smaller than an element
         inside[np.linalg.norm(mesh.centroids - center, axis=1).argmin()] = True

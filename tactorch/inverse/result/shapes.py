@@ -54,7 +54,7 @@ class BackgroundStep(NamedTuple):
 class InclusionValues(NamedTuple):
     """An inclusion of each of several draws of the parameters of shapes."""
 
-    center_mm: Float[np.ndarray, "draws 3"]
+    center_mm: Float[np.ndarray, "draws 3"]  # of volume
     radius_mm: Float[np.ndarray, " draws"]  # of the ball of the same volume
     youngs_mpa: Float[np.ndarray, " draws"]
     background_mpa: Float[np.ndarray, " draws"]  # at the centre
@@ -67,7 +67,7 @@ class InclusionValues(NamedTuple):
         own = field.own(values, k)
         background, contrast = field.log_background(values, own.center), own.log_contrast
         logs = (own.log_radius, background + contrast, background, contrast)
-        return InclusionValues(own.center, *map(np.exp, logs))
+        return InclusionValues(field.families[k].centroids(own), *map(np.exp, logs))
 
 
 @dataclass(frozen=True, repr=False)
@@ -103,7 +103,7 @@ class ShapeInclusion(Summarized):
 
     def summary(self) -> str:
         """Return location, size, modulus and probability in a line of text."""
-        center = ", ".join(f"{x:.2f}" for x in self.shape.center_mm)
+        center = ", ".join(f"{x:.2f}" for x in self.shape.centroid_mm)
         (smallest, largest), (low, high) = self.radius_90_mm, self.youngs_90_mpa
         return (
             f"({center}) mm: radius {self.shape.radius_mm:.3g} mm [{smallest:.3g}, {largest:.3g}], "
