@@ -13,6 +13,7 @@ from tactorch.config.values import leaves
 from tactorch.inverse import Lump, Reconstruction
 from tactorch.inverse.result.text import (
     Fact,
+    describe_alternatives,
     describe_lump,
     describe_steps,
     format_modulus,
@@ -129,10 +130,11 @@ class RunReport:
 
     @property
     def others(self) -> list[str]:
-        """Sentences on all lumps but the first, and on steps of the background beside a lump."""
+        """Sentences on all lumps but the first, steps beside a lump, and alternatives."""
         lumps = self.result.lumps
         steps = describe_steps(self.result) if lumps else []
-        return [*map(describe_lump, lumps[1:]), *steps]
+        alternatives = [] if self.result.reasons else describe_alternatives(self.result)
+        return [*map(describe_lump, lumps[1:]), *steps, *alternatives]
 
     @property
     def facts(self) -> list[Fact]:

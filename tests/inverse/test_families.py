@@ -1,6 +1,7 @@
 """Families of inclusions: what each one states of itself, and a cuboid's own data."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from tactorch.inverse.fields.inclusion import Parameters
 from tactorch.inverse.fit.shapes import ShapesOnSites, fit_shapes
 from tactorch.inverse.forward.problem import InverseProblem
 from tactorch.inverse.posterior.shapes import ShapePosterior
-from tactorch.inverse.result.shapes import InclusionValues, ShapeReconstruction
+from tactorch.inverse.result.shapes import Alternative, InclusionValues, ShapeReconstruction
 from tactorch.inverse.search.model import as_judged, with_family
 from tactorch.mesh import Box, box_mesh
 from tactorch.phantoms import make_phantom
@@ -119,7 +120,11 @@ def test_results_and_pictures_are_of_any_family(name):
     field, z = parameters(name)
     posterior = ShapePosterior(field, z, np.zeros(len(z)), 1e-4 * np.eye(len(z)))
     result = ShapeReconstruction(field, z, posterior, 1.0, (9.0,), 9.0)
-    (inclusion,) = ShapeReconstruction.of(json.loads(json.dumps(result.plain()))).inclusions
+    result = replace(result, alternatives=(Alternative(0.2, field, z, posterior),))
+    read = ShapeReconstruction.of(json.loads(json.dumps(result.plain())))
+    (inclusion,), (other,) = read.inclusions, read.alternatives
+    assert other.probability == 0.2
+    assert other.shapes == [*field.shapes(z)]
     assert inclusion.shape == next(field.shapes(result.estimate))
     assert np.abs(result.estimate - z).max() < 2e-3
     centers = InclusionValues.of(field, result.samples, 0).center_mm

@@ -21,13 +21,21 @@ from tactorch.inverse.fields import (
 )
 from tactorch.inverse.fields.tube import RING
 from tactorch.inverse.fit.shapes import Evidence, ShapeFit
+from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.search import search
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.draft import DraftShapes
 from tactorch.inverse.search.draft_errors import DraftOptions
 from tactorch.inverse.search.model import Model, Proposal, Start, gain, noise_weights
 from tactorch.inverse.search.problem import ShapeProblem
-from tactorch.inverse.search.proposals import _by_kind, _further_beside, _kind, propose
-from tactorch.inverse.search.search import _accept
+from tactorch.inverse.search.proposals import (
+    _by_kind,
+    _further_beside,
+    _kind,
+    promising,
+    propose,
+)
+from tactorch.inverse.search.search import _accept, _alternatives, _Likely, _shares
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
 from tactorch.recording import Recording
@@ -74,7 +82,7 @@ def test_no_provisional_lump_where_there_is_none(uniform: Recording) -> None:
 def test_further_inclusions_are_proposed_up_to_the_limit(recording: Recording) -> None:
     for limit, expected in ((0, 0), (1, 1)):
         problem = ShapeProblem(recording, Settings(), max_shapes=limit)
-        proposals = propose(problem, model := problem.uniform())
+        proposals = promising(problem, propose(problem, model := problem.uniform()))
         assert max(len(p.field.families) for p in proposals) == expected
         gains = [problem.gain(p.trial, model.fit) for p in proposals]
         assert min(gains) > problem.min_gain
@@ -115,7 +123,8 @@ def _evidence(value: float) -> Mock:
 def _proposal(what: str, promise: float, model: Mock, **changes: Any) -> Proposal:
     field = replace(model.fit.field, **changes)
     start = Start(what, field, np.zeros(field.size), {})
-    return Proposal(*vars(start).values(), _evidence(promise), 3.0, promise, _kind(start, model))
+    values = vars(start).values()
+    return Proposal(*values, _evidence(promise), promise, 3.0, promise, _kind(start, model))
 
 
 @pytest.fixture
@@ -203,3 +212,57 @@ def test_the_best_proposal_is_accepted(
     assert calls == fitted
     assert (found and found[0].what) == accepted
     assert not proposals
+
+
+@pytest.mark.parametrize("scale", [1.0, 13.0])
+def test_alternatives_share_the_probability(
+    model: Mock, scale: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Gains of a palpation are those of several presses a place; the weights are not."""
+    rod = FAMILIES["rod"]
+    proposals = [
+        _proposal("ring", 2.0 * scale, model, families=(RING,)),
+        _proposal("another ring", 1.0 * scale, model, families=(RING,)),
+        _proposal("none", -1.0 * scale, model, families=()),
+        _proposal("rod", -9.0 * scale, model, families=(rod,)),
+        _proposal("ellipsoid", 2.9 * scale, model, families=(ELLIPSOID,)),  # as a ball is judged
+        _proposal("smooth", 2.9 * scale, model, background=Background(2)),
+    ]
+    gains, calls = {"ring": 2.5, "none": -0.5}, dict[str, float]()
+
+    def challenge(proposal: Proposal, _: Model, margin: float) -> Mock:
+        calls[proposal.what] = margin
+        fit = _evidence(scale * gains[proposal.what])
+        # The fitted lump has a contrast, so that it is not negligible.
+        fit.configure_mock(field=proposal.field, z=np.ones(proposal.field.size))
+        return Mock(spec=Model, fit=fit)
+
+    for proposal in proposals:
+        fitted = {"field": proposal.field, "z": np.ones(proposal.field.size)}
+        proposal.trial.configure_mock(**fitted)
+    problem = Mock(spec=SearchProblem, challenge=challenge, min_gain=3.0 * scale)
+    problem.gain = lambda fit, rival: rival.complexity - fit.complexity
+    found = _alternatives(problem, model, proposals)
+    # A fit ends where the probability will be below 5 %.
+    least = np.log(0.05) * scale
+    assert calls == pytest.approx({"none": -least, "ring": -(least + 3.0 * scale)})
+    # The ring has more parameters, and would have been accepted with a gain of 3.
+    model.fit.configure_mock(z=np.zeros(model.fit.field.size))
+    assert {one.what: one.weight for one in found} == pytest.approx({"none": -0.5, "ring": -0.5})
+    monkeypatch.setattr(search, "make_posterior", lambda model, sites: Mock(spec=ShapePosterior))
+    problem.sites = None
+    shares = _shares(problem, [_Likely(0.0, model), *found])
+    weights = np.exp([0.0, -0.5, -0.5])
+    assert [a.probability for a in shares] == pytest.approx(weights[1:] / weights.sum())
+    assert {a.field.families for a in shares} == {(), (RING,)}
+    # Of two models the one that was accepted first may be the less probable.
+    (first,) = _shares(problem, [found[0], _Likely(-1.5, model)])
+    assert first.field is model.fit.field
+    assert first.probability == pytest.approx(1.0 / (1.0 + np.exp(1.0)))
+    gains |= {"ring": -0.2, "none": -3.2}
+    assert not _alternatives(problem, model, proposals)
+    assert not _alternatives(problem, model, [*_only(proposals, "smooth", "ellipsoid")])
+
+
+def _only(proposals: list[Proposal], *names: str) -> list[Proposal]:
+    return [proposal for proposal in proposals if proposal.what in names]

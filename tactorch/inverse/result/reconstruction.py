@@ -231,6 +231,7 @@ class Reconstruction(Displayed):
             "background_mpa": self.background_mpa,
             "lumps": [lump.plain() for lump in self.lumps],
             "steps": [step._asdict() for step in self.shapes.steps] if self.shapes else [],
+            "alternatives": [a.plain() for a in self.shapes.alternatives] if self.shapes else [],
         }
 
     def summary(self) -> str:

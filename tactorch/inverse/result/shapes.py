@@ -111,6 +111,49 @@ class ShapeInclusion(Summarized):
         )
 
 
+class Alternative(NamedTuple):
+    """Other inclusions that explain the presses about as well.
+
+    Attributes:
+        probability: Its probability; those of all alternatives and of the result add up to one.
+        field: The family of its shapes.
+        z: Parameters of its best fit, in standard deviations of the prior.
+        posterior: Posterior of its parameters.
+    """
+
+    probability: float
+    field: ShapeField
+    z: Float[np.ndarray, " size"]
+    posterior: ShapePosterior
+
+    @property
+    def shapes(self) -> list[InclusionShape]:
+        """The inclusions."""
+        return list(self.field.shapes(self.z))
+
+    @property
+    def steps(self) -> dict[str, tuple[float, float]]:
+        """Place (mm) and contrast of each step of the background, by side."""
+        background, values = self.field.background, self.field.physical(self.z)
+        places = [values[background.step_at(k)] for k in range(len(background.steps))]
+        pairs = zip(background.steps, places, strict=True)
+        return {side: (float(place), float(np.exp(log))) for side, (place, log) in pairs}
+
+    def plain(self) -> dict[str, Any]:
+        """Return probability, inclusions and steps as plain values, mm."""
+        lumps = [
+            {"form": shape.form, "center_mm": shape.centroid_mm.tolist(),
+             "size_mm": (2.0 * shape.half_size_mm).tolist(),
+             "equivalent_radius_mm": shape.radius_mm, "contrast": shape.contrast}
+            for shape in self.shapes
+        ]  # fmt: skip
+        steps = [
+            {"side": side, "place_mm": place, "contrast": contrast}
+            for side, (place, contrast) in self.steps.items()
+        ]
+        return {"probability": self.probability, "lumps": lumps, "steps": steps}
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class ShapeReconstruction(Displayed):
     """Inclusions with sharp boundaries in a background, see `Background`.
@@ -138,6 +181,8 @@ class ShapeReconstruction(Displayed):
             limit; None by default.
         untried: Models that were proposed, and not fitted any more by such a search.
         predictive: See `ShapeInclusion`, of each inclusion.
+        alternatives: Other inclusions that explain the presses about as well, the most probable
+            first. Intervals include those with as many inclusions.
     """
 
     field: ShapeField
@@ -154,6 +199,7 @@ class ShapeReconstruction(Displayed):
     ended: StopReason | None = None
     untried: tuple[str, ...] = ()
     predictive: tuple[float | None, ...] = ()
+    alternatives: tuple[Alternative, ...] = ()
 
     def summary(self) -> str:
         """Return a description of the result in a few lines of text."""
@@ -258,8 +304,21 @@ class ShapeReconstruction(Displayed):
         """Numbers of `inclusions` among those of the field."""
         return tuple(np.argsort(-np.array(self.log_odds), kind="stable").tolist())
 
+    def _draws(self, k: int) -> InclusionValues:
+        """Return samples of an inclusion, and of the nearest one of each alternative."""
+        own = 1.0 - sum(other.probability for other in self.alternatives)
+        parts = [InclusionValues.of(self.posterior.field, self.samples, k)]
+        center = parts[0].center_mm.mean(axis=0)
+        for other in self.alternatives:
+            count = round(len(self.samples) * other.probability / own)
+            if len(other.field.parts) == len(self.field.parts) and count:
+                apart = [np.linalg.norm(s.centroid_mm - center) for s in other.shapes]
+                z = other.posterior.samples(count)
+                parts.append(InclusionValues.of(other.posterior.field, z, int(np.argmin(apart))))
+        return InclusionValues(*map(np.concatenate, zip(*parts, strict=True)))
+
     def _inclusion(self, k: int, shape: InclusionShape) -> ShapeInclusion:
-        draws = InclusionValues.of(self.posterior.field, self.samples, k)
+        draws = self._draws(k)
         best = InclusionValues.of(self.field, self.estimate[None], k)
         return ShapeInclusion(
             shape,
@@ -276,7 +335,14 @@ class ShapeReconstruction(Displayed):
     def plain(self) -> dict[str, Any]:
         """Return plain JSON values; the inverse of `of`."""
         values = {name: getattr(self, name) for name in ("z", *_STORED)}
-        return self.field.plain() | to_plain(values) | {"posterior": self.posterior.plain()}
+        others = [
+            other.field.plain()
+            | to_plain({"z": other.z, "probability": other.probability})
+            | {"posterior": other.posterior.plain()}
+            for other in self.alternatives
+        ]
+        values |= {"posterior": self.posterior.plain(), "alternatives": others}
+        return self.field.plain() | to_plain(values)
 
     @staticmethod
     def of(plain: Mapping[str, Any]) -> "ShapeReconstruction":
@@ -289,6 +355,15 @@ class ShapeReconstruction(Displayed):
         values = {"predictive": ()} | {k: plain[k] for k in _STORED if k in plain and k != "errors"}
         values |= {name: tuple(values[name]) for name in ("log_odds", "history", "predictive")}
         posterior = ShapePosterior.of(plain["posterior"])
+        values["alternatives"] = tuple(
+            Alternative(
+                other["probability"],
+                ShapeField.of(other),
+                np.array(other["z"]),
+                ShapePosterior.of(other["posterior"]),
+            )
+            for other in plain.get("alternatives", ())
+        )
         return ShapeReconstruction(field, np.array(plain["z"]), posterior, errors=errors, **values)
 
 

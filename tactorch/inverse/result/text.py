@@ -1,12 +1,13 @@
 """The words for a result, shared by the command line, the report, notebooks and live runs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tactorch.inverse.result.lump import Confidence, Lump
+from tactorch.inverse.result.lump import Confidence, Elongation, Lump
 from tactorch.inverse.result.reconstruction import Reconstruction
+from tactorch.inverse.result.shapes import Alternative
 
 _UNCERTAIN = 0.1  # width of the interval of a depth, over the depth, from which it is reported
 # Probabilities above which a lump is certain, and below which it is doubtful.
@@ -55,9 +56,11 @@ def _finding(result: Reconstruction) -> list[str]:
         return [f"Do not trust this result: {reason}" for reason in result.reasons]
     if not result.lumps:
         modulus = f"Young's modulus is {result.background_mpa:.3g} MPa"
-        return [f"Nothing found: no lump stands out; {modulus}.", *describe_steps(result)]
+        nothing = f"Nothing found: no lump stands out; {modulus}."
+        return [nothing, *describe_steps(result), *describe_alternatives(result)]
     first = [] if result.shapes is not None else ["In the element map:"]
-    return [*first, *map(describe_lump, result.lumps), *describe_steps(result)]
+    lumps = [*first, *map(describe_lump, result.lumps)]
+    return [*lumps, *describe_steps(result), *describe_alternatives(result)]
 
 
 def describe_steps(result: Reconstruction) -> list[str]:
@@ -68,6 +71,35 @@ def describe_steps(result: Reconstruction) -> list[str]:
         f"{_span(step.place_90_mm)} mm and {_span(step.contrast_90, 2)} times."
         for step in (result.shapes.steps if result.shapes is not None else ())
     ]
+
+
+def describe_alternatives(result: Reconstruction) -> list[str]:
+    """Return a sentence on the other inclusions that explain the presses about as well."""
+    others = result.shapes.alternatives if result.shapes is not None else ()
+    if not others:
+        return []
+    own = _percent(1.0 - sum(other.probability for other in others))
+    texts = [f"{_describe_other(other)} ({_percent(other.probability)})" for other in others]
+    return [
+        f"Other inclusions explain the presses about as well. This is {own} probable; or there is "
+        f"{', or '.join(texts)}."
+    ]
+
+
+def _describe_other(other: Alternative) -> str:
+    """Return the inclusions and steps of an alternative in words."""
+    parts = []
+    for shape in other.shapes:
+        word = "stiff" if shape.contrast > 1.0 else "soft"
+        times = max(shape.contrast, 1.0 / shape.contrast)
+        size, long = _size(2.0 * shape.half_size_mm, Elongation.of(shape), shape.form)
+        where = f"a {long}{word} {shape.form} at {_point(shape.centroid_mm)}, {size}"
+        parts.append(f"{where}, {times:.2g} times as {word} as its surroundings")
+    for axis_side, (place, contrast) in other.steps.items():
+        axis, sign = axis_side[0], "<" if axis_side[1] == "-" else ">"
+        where = f"{axis} {sign} {place:.3g} mm"
+        parts.append(f"a step to {contrast:.2g} times the modulus where {where}")
+    return " and ".join(parts) or "no lump"
 
 
 def headline(result: Reconstruction) -> str:
@@ -110,9 +142,7 @@ def describe_lump(lump: Lump) -> str:
     inclusion, depth, side = lump.inclusion, lump.depth, lump.inclusion.side
     ratio = inclusion.contrast if side == "stiff" else 1.0 / inclusion.contrast
     below = "" if depth is None else f", {depth.center_mm:.2f} mm below {depth.surface}"
-    size, long = f"{' x '.join(f'{x:.2g}' for x in lump.size_mm)} mm", ""
-    if lump.elongation is not None:
-        size, long = lump.elongation.text(), "long " * (lump.form == "lump")
+    size, long = _size(lump.size_mm, lump.elongation, lump.form)
     text = (
         f"A {long}{side} {lump.form} at {_point(inclusion.center_mm, 2)}{below}, {size} "
         f"(the volume of a ball of radius {inclusion.equivalent_radius_mm:.2g} mm), "
@@ -127,6 +157,13 @@ def describe_lump(lump: Lump) -> str:
     if lump.confidence.probability < _DOUBTFUL:
         return f"{text} Do not rely on it without more presses."
     return f"{text} More presses can confirm it."
+
+
+def _size(size_mm: Iterable[float], elongation: Elongation | None, form: str) -> tuple[str, str]:
+    """Return the size of a lump in words, and an adjective."""
+    if elongation is not None:
+        return elongation.text(), "long " * (form == "lump")
+    return f"{' x '.join(f'{x:.2g}' for x in size_mm)} mm", ""
 
 
 def _confidence(lump: Lump, confidence: Confidence) -> str:

@@ -67,6 +67,7 @@ class Proposal(Start):
 
     Attributes:
         trial: The fit.
+        gain: Its log-evidence over that of the present model.
         least_gain: Gain of log-evidence for which it is accepted.
         promise: Gain of the trial at the noise that the present model would need.
         kind: What it changes of the present model: number of inclusions, families, background, and
@@ -74,6 +75,7 @@ class Proposal(Start):
     """
 
     trial: ShapeFit
+    gain: float = 0.0
     least_gain: float = 0.0
     promise: float = 0.0
     kind: tuple[bool, ...] = ()

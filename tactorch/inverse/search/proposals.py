@@ -41,11 +41,10 @@ _SAME = 2.0  # distance of centres, in radii, below which two starts are of the 
 
 
 def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
-    """Return models that seem better than the present one, the best of each kind first.
+    """Return models that may be better than the present one, fitted with the reduced model.
 
-    Those of a kind are ordered by their evidence at the noise that the present model would need,
-    which prefers an inclusion to large errors of the forces that explain as much. A model with
-    other errors beside a change of the map has to be better than the present map with these errors.
+    A model with other errors beside a change of the map has to be better than the present map with
+    these errors.
     """
     fit = model.fit
     starts = [start for source in problem.proposals for start in source(problem, model)]
@@ -57,7 +56,7 @@ def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
         pairs = _fitted(problem, model, _pairs(problem, model, proposals))
         proposals += [pair for pair in pairs if pair.trial.chi2 < _MUCH_LESS * least_chi2]
     same_map = {_key(p.errors): p for p in proposals if p.field is fit.field}
-    better, weights = list[Proposal](), noise_weights(problem.groups, fit.residuals)
+    judged, weights = list[Proposal](), noise_weights(problem.groups, fit.residuals)
     for proposal in proposals:
         gain, least = problem.gain(proposal.trial, fit), problem.min_gain
         other = same_map.get(_key(proposal.errors), proposal)
@@ -67,10 +66,23 @@ def propose(problem: SearchProblem, model: Model) -> list[Proposal]:
             least = 0.0  # of two models that explain as much it is the simpler one
         what, chi2 = proposal.what, proposal.trial.chi2
         _log.debug("proposal: %s, chi2 %.4g, log-evidence %+.4g", what, chi2, gain)
-        if gain > problem.trial_share * least and not is_negligible(proposal.trial):
-            promise = weighted_gain(proposal.trial, fit, weights)
-            kind = _kind(proposal, model)
-            better.append(replace(proposal, least_gain=least, promise=promise, kind=kind))
+        promise, kind = weighted_gain(proposal.trial, fit, weights), _kind(proposal, model)
+        judged.append(replace(proposal, gain=gain, least_gain=least, promise=promise, kind=kind))
+    return judged
+
+
+def promising(problem: SearchProblem, proposals: Sequence[Proposal]) -> list[Proposal]:
+    """Return proposals that seem better than the present model, the best of each kind first.
+
+    Those of a kind are ordered by their evidence at the noise that the present model would need,
+    which prefers an inclusion to large errors of the forces that explain as much.
+    """
+    better = [
+        proposal
+        for proposal in proposals
+        if proposal.gain > problem.trial_share * proposal.least_gain
+        and not is_negligible(proposal.trial)
+    ]
     return _by_kind(sorted(better, key=lambda p: -p.promise))
 
 

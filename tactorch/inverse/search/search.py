@@ -15,31 +15,36 @@ from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from tactorch.errors import CancelledError, ConvergenceError
 from tactorch.inverse.errors import Levels
 from tactorch.inverse.errors.base import KeptRims
+from tactorch.inverse.fields import ShapeField
 from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.shapes import ShapeFit
 from tactorch.inverse.forward.palpation import is_palpation
 from tactorch.inverse.posterior.shapes import ShapePosterior
-from tactorch.inverse.result.shapes import ShapeReconstruction
+from tactorch.inverse.result.shapes import Alternative, ShapeReconstruction
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import (
     MAX_LOG_ODDS,
+    MIN_GAIN,
     Model,
     Proposal,
     Start,
     TimeLimit,
     improve,
     is_negligible,
+    make_posterior,
     record,
     unexplained,
     with_predictions,
 )
 from tactorch.inverse.search.palpation import PalpationSearch, at_some_places
 from tactorch.inverse.search.problem import ShapeProblem, is_same_model
-from tactorch.inverse.search.proposals import propose
+from tactorch.inverse.search.proposals import promising, propose
 from tactorch.inverse.search.sizing import refined_at_contacts
 from tactorch.progress import progress_line
 from tactorch.recording import Recording
@@ -49,6 +54,10 @@ _log = logging.getLogger(__name__)
 _QUICK_PLACES, _FIRST_PLACES = 128, 384
 _MAX_SHAPES = 4
 _MAX_MODELS = 10  # one after the other
+_LEAST_PROBABLE = 0.05  # alternative that is reported
+_LEAST_LOG = float(np.log(_LEAST_PROBABLE))
+_MAX_ALTERNATIVES = 2  # that are fitted with the full model
+_OFF = 2.0  # log-evidence of the reduced model, by which it may be wrong about these
 _MANY = 10.0  # contrast beyond which a provisional answer states none
 
 
@@ -113,15 +122,20 @@ def find_shapes(
 
 @dataclass(eq=False)
 class _Path:
-    """The last model that a search has accepted, records of all, and what was not tried."""
+    """The last model that a search has accepted, records of all, and what was not tried.
+
+    `rejected` are the proposals from the last model.
+    """
 
     state: Start
     history: list[dict[str, Any]]
     untried: list[Proposal] = field(default_factory=list)
+    rejected: list[Proposal] = field(default_factory=list)
     ended: StopReason | None = None  # what ended it early
 
     def accept(self, what: str, model: Model) -> None:
         """Add a model."""
+        self.rejected.clear()
         self.state = _state(model)
         self.history.append(record(what, model.fit))
 
@@ -161,6 +175,15 @@ def search(
     """
     model, path = _accept_models(problem, limit, start, update, before)
     with path.kept():
+        update("alternatives")
+        likely = [_Likely(0.0, model)]
+        if not path.ended:
+            likely += _alternatives(problem, model, path.rejected)
+        likely.sort(key=lambda one: -one.weight)
+        if likely[0].model is not model:
+            model = likely[0].model
+            path.accept(likely[0].what, model)
+        alternatives = _shares(problem, likely)
         update("final fit")
         model = _final(problem, model)
         path.state = _state(model)
@@ -170,7 +193,8 @@ def search(
             path.history.append(record("balls as ellipsoids", best.fit))
         result = _result(problem, best, posterior, path.history)
         left = tuple(proposal.what for proposal in path.untried) if path.ended else ()
-        return best, replace(result, ended=path.ended, untried=left)
+        result = replace(result, ended=path.ended, untried=left, alternatives=alternatives)
+        return best, result
 
 
 def _accept_models(
@@ -193,8 +217,8 @@ def _accept_models(
     def step(number: int) -> bool:
         nonlocal model
         update(f"model {number}, predictions of proposals")
-        proposals = [p for p in propose(problem, model) if not path.had(p)]
-        path.untried[:] = proposals[: problem.max_fits]
+        path.rejected[:] = [p for p in propose(problem, model) if not path.had(p)]
+        path.untried[:] = promising(problem, path.rejected)[: problem.max_fits]
         update(f"model {number}")
         if (accepted := _accept(problem, model, path.untried)) is None:
             return False
@@ -299,6 +323,64 @@ def _challenge(
         if change > proposal.least_gain and is_better and not is_negligible(trial.fit):
             return trial
     return None
+
+
+class _Likely(NamedTuple):
+    """A model that may be the right one, with its log-probability, but for a constant."""
+
+    weight: float
+    model: Model
+    what: str = ""
+
+
+def _alternatives(
+    problem: SearchProblem, model: Model, rejected: Sequence[Proposal]
+) -> list[_Likely]:
+    """Return models of other inclusions that are about as probable as a model.
+
+    Those with more parameters have less probability beforehand, by the gain of evidence for which
+    they would have been accepted. They are fitted as far as they may be probable, and not only as
+    far as they may be accepted.
+    """
+    scale, size = problem.min_gain / MIN_GAIN, model.fit.field.size
+    best: dict[object, tuple[float, Proposal]] = {}
+    for proposal in rejected:
+        weight, form = proposal.gain / scale - _handicap(proposal, size), _form(proposal.field)
+        if form != _form(model.fit.field) and weight > best.get(form, (-np.inf,))[0]:
+            best[form] = weight, proposal
+    found = []
+    for weight, proposal in sorted(best.values(), key=lambda one: -one[0])[:_MAX_ALTERNATIVES]:
+        handicap, what = _handicap(proposal, size), proposal.what
+        if weight < _LEAST_LOG - _OFF or is_negligible(proposal.trial):
+            continue
+        with suppress(ConvergenceError), progress_line(what):
+            other = problem.challenge(proposal, model, -scale * (_LEAST_LOG + handicap))
+            gain = problem.gain(other.fit, model.fit)
+            _log.info("alternative, %s: log-evidence %+.4g", what, gain)
+            if gain / scale - handicap > _LEAST_LOG and not is_negligible(other.fit):
+                found.append(_Likely(gain / scale - handicap, other, what))
+    return found
+
+
+def _handicap(proposal: Proposal, size: int) -> float:
+    return MIN_GAIN if proposal.field.size > size else 0.0
+
+
+def _shares(problem: SearchProblem, likely: Sequence[_Likely]) -> tuple[Alternative, ...]:
+    """Return all models but the first, with the probabilities that they have."""
+    weights = np.exp([one.weight - likely[0].weight for one in likely])
+    found = []
+    for p, one in zip((weights / weights.sum()).tolist()[1:], likely[1:], strict=True):
+        if p > _LEAST_PROBABLE:
+            fit, posterior = one.model.fit, make_posterior(one.model, problem.sites)
+            found.append(Alternative(p, fit.field, fit.z, posterior))
+    return tuple(found)
+
+
+def _form(shapes: ShapeField) -> object:
+    """Return what distinguishes alternatives: the families of inclusions, and steps."""
+    families = tuple(sorted(family.judged_as for family in shapes.families))
+    return families, shapes.background.steps
 
 
 class _Over(NamedTuple):

@@ -12,7 +12,7 @@ from tactorch.inverse.fields import BALL, ELLIPSOID, FAMILIES, ShapeField, Shape
 from tactorch.inverse.fields.background import Background
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.lump import Lump
-from tactorch.inverse.result.shapes import ShapeReconstruction
+from tactorch.inverse.result.shapes import Alternative, ShapeReconstruction
 from tactorch.inverse.result.text import describe, describe_lump, headline, lead
 from tactorch.mesh import box_mesh
 from tactorch.phantoms import make_phantom
@@ -79,7 +79,8 @@ def test_a_form_is_named(recording, inclusions, name, own, form):
     (lump,) = result.lumps
     assert lump.form == lump.plain()["form"] == form
     assert Lump.of_stored(lump.stored(), MESH.n_tets).form == form
-    assert f"A stiff {form} at (5.00, 5.00, 6.00) mm" in describe_lump(lump)
+    center = ", ".join(f"{x:.2f}" for x in result.shapes.inclusions[0].shape.centroid_mm)
+    assert f"A stiff {form} at ({center}) mm" in describe_lump(lump)
     assert headline(result).startswith(f"A stiff {form}, 4 times as stiff")
 
 
@@ -236,3 +237,44 @@ def test_layers_are_described_with_their_intervals(recording, inclusions, famili
     assert finding.plain()["steps"][1]["side"] == "x+"
     if not families:
         assert "Where z < 2.5 mm" in lead(finding)
+
+
+def test_alternatives_are_described_with_their_probabilities(recording, shapes, inclusions):
+    rods = replace(FIELD, families=(FAMILIES["rod"], FAMILIES["ball"]))
+    own = [*VALUES[:6], 0.0, 3.0, 0.0, 2.0, 2.0, 2.0, 0.0, np.log(0.5)]
+    rod = alternative(0.3, rods, own)
+    skin = replace(FIELD, families=(), background=Background(steps=("z+",)))
+    step = alternative(0.1, skin, [VALUES[0], 8.0, np.log(3.0)])
+    finding = inclusions(recording, replace(shapes, alternatives=(rod, step)))
+    text = describe(finding)
+    assert "This is 60 % probable; or there is a stiff rod at (5.0, 5.0, 6.0) mm, " in text
+    assert ", 4 times as stiff as its surroundings and a soft lump at (2.0, 2.0, 2.0)" in text
+    assert "2 times as soft as its surroundings (30 %), or a step to 3 times the modulus " in text
+    assert text.endswith("where z > 8 mm (10 %).")
+    first, second = json.loads(json.dumps(finding.plain()))["alternatives"]
+    assert first["probability"] == 0.3
+    assert [lump["form"] for lump in first["lumps"]] == ["rod", "lump"]
+    assert second["steps"] == [{"side": "z+", "place_mm": 8.0, "contrast": pytest.approx(3.0)}]
+    assert "Other inclusions" not in describe(inclusions(recording, shapes))
+
+
+def test_intervals_include_alternatives_with_as_many_inclusions(shapes):
+    """With half the probability an ellipsoid of half the modulus, 1 mm higher."""
+    other = [*VALUES[:3], 7.0, VALUES[4], np.log(2.0), *VALUES[6:]]
+    two = alternative(0.4, replace(FIELD, families=(ELLIPSOID, BALL)), [*VALUES, *VALUES[1:6]])
+    half = alternative(0.5, FIELD, other)
+    (alone,), (mixed,) = shapes.inclusions, replace(shapes, alternatives=(half,)).inclusions
+    assert alone.youngs_90_mpa.low > 0.7
+    assert mixed.youngs_90_mpa.low == pytest.approx(0.4, rel=0.1)
+    assert mixed.youngs_90_mpa.high == pytest.approx(0.8, rel=0.1)
+    assert mixed.center_deviation_mm[2] == pytest.approx(0.5, rel=0.1)
+    assert mixed.youngs_mpa == alone.youngs_mpa
+    (same,) = replace(shapes, alternatives=(two,)).inclusions
+    assert same.youngs_90_mpa == alone.youngs_90_mpa
+
+
+def alternative(probability, field, values):
+    """Return an alternative whose parameters are known to 2 % of the prior."""
+    z = field.standard(np.array(values))
+    posterior = ShapePosterior(field, z, np.zeros(len(z)), 4e-4 * np.eye(len(z)))
+    return Alternative(probability, field, z, posterior)
