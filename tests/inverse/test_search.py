@@ -208,8 +208,9 @@ def test_the_best_proposal_is_accepted(
 
     problem = Mock(spec=SearchProblem, challenge=challenge, rival_share=share)
     problem.gain = lambda fit, rival: rival.complexity - fit.complexity
-    found = _accept(problem, model, proposals)
-    assert calls == fitted
+    kept = dict[str, Model]()
+    found = _accept(problem, model, proposals, kept)
+    assert calls == fitted == list(kept)
     assert (found and found[0].what) == accepted
     assert not proposals
 
@@ -229,9 +230,10 @@ def test_alternatives_share_the_probability(
         _proposal("smooth", 2.9 * scale, model, background=Background(2)),
     ]
     gains, calls = {"ring": 2.5, "none": -0.5}, dict[str, float]()
+    starts = dict[str, np.ndarray]()
 
     def challenge(proposal: Proposal, _: Model, margin: float) -> Mock:
-        calls[proposal.what] = margin
+        calls[proposal.what], starts[proposal.what] = margin, proposal.z
         fit = _evidence(scale * gains[proposal.what])
         # The fitted lump has a contrast, so that it is not negligible.
         fit.configure_mock(field=proposal.field, z=np.ones(proposal.field.size))
@@ -242,7 +244,7 @@ def test_alternatives_share_the_probability(
         proposal.trial.configure_mock(**fitted)
     problem = Mock(spec=SearchProblem, challenge=challenge, min_gain=3.0 * scale)
     problem.gain = lambda fit, rival: rival.complexity - fit.complexity
-    found = _alternatives(problem, model, proposals)
+    found = _alternatives(problem, model, proposals, {})
     # A fit ends where the probability will be below 5 %.
     least = np.log(0.05) * scale
     assert calls == pytest.approx({"none": -least, "ring": -(least + 3.0 * scale)})
@@ -259,9 +261,14 @@ def test_alternatives_share_the_probability(
     (first,) = _shares(problem, [found[0], _Likely(-1.5, model)])
     assert first.field is model.fit.field
     assert first.probability == pytest.approx(1.0 / (1.0 + np.exp(1.0)))
+    # A fit that ended early goes on from where it was.
+    ring = next(one.model for one in found if one.what == "ring")
+    ring.fit.z[:] = 0.5
+    _alternatives(problem, model, proposals, {"ring": ring})
+    assert starts["ring"] == pytest.approx(0.5)
     gains |= {"ring": -0.2, "none": -3.2}
-    assert not _alternatives(problem, model, proposals)
-    assert not _alternatives(problem, model, [*_only(proposals, "smooth", "ellipsoid")])
+    assert not _alternatives(problem, model, proposals, {})
+    assert not _alternatives(problem, model, _only(proposals, "smooth", "ellipsoid"), {})
 
 
 def _only(proposals: list[Proposal], *names: str) -> list[Proposal]:

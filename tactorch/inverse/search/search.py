@@ -10,7 +10,7 @@ accepted. What differs between contacts, palpations and sessions is in `SearchPr
 """
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -124,13 +124,15 @@ def find_shapes(
 class _Path:
     """The last model that a search has accepted, records of all, and what was not tried.
 
-    `rejected` are the proposals from the last model.
+    `rejected` are the proposals from the last model, and `fitted` their fits with the full model,
+    by description, which may have ended early.
     """
 
     state: Start
     history: list[dict[str, Any]]
     untried: list[Proposal] = field(default_factory=list)
     rejected: list[Proposal] = field(default_factory=list)
+    fitted: dict[str, Model] = field(default_factory=dict)
     ended: StopReason | None = None  # what ended it early
 
     def accept(self, what: str, model: Model) -> None:
@@ -178,7 +180,7 @@ def search(
         update("alternatives")
         likely = [_Likely(0.0, model)]
         if not path.ended:
-            likely += _alternatives(problem, model, path.rejected)
+            likely += _alternatives(problem, model, path.rejected, path.fitted)
         likely.sort(key=lambda one: -one.weight)
         if likely[0].model is not model:
             model = likely[0].model
@@ -219,8 +221,9 @@ def _accept_models(
         update(f"model {number}, predictions of proposals")
         path.rejected[:] = [p for p in propose(problem, model) if not path.had(p)]
         path.untried[:] = promising(problem, path.rejected)[: problem.max_fits]
+        path.fitted.clear()
         update(f"model {number}")
-        if (accepted := _accept(problem, model, path.untried)) is None:
+        if (accepted := _accept(problem, model, path.untried, path.fitted)) is None:
             return False
         model = problem.precise(accepted[1])
         path.accept(accepted[0].what, model)
@@ -290,12 +293,12 @@ def _first(
 
 
 def _accept(
-    problem: SearchProblem, model: Model, untried: list[Proposal]
+    problem: SearchProblem, model: Model, untried: list[Proposal], fitted: dict[str, Model]
 ) -> tuple[Proposal, Model] | None:
     """Return the proposal of most evidence by the full model, if that is more than the model's.
 
     Once there is one, only the first of each other kind are fitted that do not promise much less
-    than the best. Those that were fitted are removed from the list.
+    than the best. Those that were fitted are removed from the list, and their fits kept.
     """
     best: tuple[Proposal, Model] | None = None
     least = problem.rival_share * max((proposal.promise for proposal in untried), default=0.0)
@@ -304,19 +307,23 @@ def _accept(
         proposal = untried[0]
         if best is None or (proposal.promise > least and proposal.kind not in kinds):
             kinds.add(proposal.kind)
-            trial = _challenge(problem, proposal, model, best and best[1])
+            trial = _challenge(problem, proposal, model, best and best[1], fitted)
             best = best if trial is None else (proposal, trial)
         del untried[0]
     return best
 
 
 def _challenge(
-    problem: SearchProblem, proposal: Proposal, model: Model, rival: Model | None
+    problem: SearchProblem,
+    proposal: Proposal,
+    model: Model,
+    rival: Model | None,
+    fitted: dict[str, Model],
 ) -> Model | None:
     """Return a proposal fitted with the full model; None without enough evidence."""
     with suppress(ConvergenceError), progress_line(proposal.what):
         missing = -proposal.least_gain if rival is None else 0.0
-        trial = problem.challenge(proposal, model, missing, rival)
+        trial = fitted[proposal.what] = problem.challenge(proposal, model, missing, rival)
         change = problem.gain(trial.fit, model.fit)
         _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)
         is_better = rival is None or problem.gain(trial.fit, rival.fit) > 0.0
@@ -334,7 +341,10 @@ class _Likely(NamedTuple):
 
 
 def _alternatives(
-    problem: SearchProblem, model: Model, rejected: Sequence[Proposal]
+    problem: SearchProblem,
+    model: Model,
+    rejected: Sequence[Proposal],
+    fitted: Mapping[str, Model],
 ) -> list[_Likely]:
     """Return models of other inclusions that are about as probable as a model.
 
@@ -345,7 +355,11 @@ def _alternatives(
     scale, size = problem.min_gain / MIN_GAIN, model.fit.field.size
     best: dict[object, tuple[float, Proposal]] = {}
     for proposal in rejected:
-        weight, form = proposal.gain / scale - _handicap(proposal, size), _form(proposal.field)
+        gain, form = proposal.gain, _form(proposal.field)
+        if (known := fitted.get(proposal.what)) is not None:  # a fit that may have ended early
+            gain = max(gain, problem.gain(known.fit, model.fit))
+            proposal = replace(proposal, z=known.fit.z)
+        weight = gain / scale - _handicap(proposal, size)
         if form != _form(model.fit.field) and weight > best.get(form, (-np.inf,))[0]:
             best[form] = weight, proposal
     found = []
