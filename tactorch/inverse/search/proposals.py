@@ -241,13 +241,14 @@ def changed(problem: SearchProblem, model: Model) -> Iterator[Start]:
     """
     fit, shapes = model.fit, list(model.fit.field.shapes(model.fit.z))
     for k, family in enumerate(fit.field.families):
-        for other in families_beyond(family):
+        beyond = families_beyond(family)
+        for other in beyond:
             what = f"inclusion {k} as {other.noun}"
             yield Start(what, *with_family(fit.field, fit.z, k, other), model.errors)
-        if family.judged_as == family.name and not crosses(shapes[k], fit.field.prior):
-            for name in problem.forms:
-                if name != family.name:
-                    yield as_one(model, [k], FAMILIES[name])
+        forms = () if crosses(shapes[k], fit.field.prior) else problem.forms
+        for form in map(FAMILIES.__getitem__, forms):
+            if form is not family and form not in beyond:
+                yield as_one(model, [k], form)
 
 
 def joined(problem: SearchProblem, model: Model) -> Iterator[Start]:
