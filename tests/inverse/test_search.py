@@ -88,6 +88,14 @@ def test_further_inclusions_are_proposed_up_to_the_limit(recording: Recording) -
         assert min(gains) > problem.min_gain
 
 
+def test_parameters_belong_together_as_far_as_they_explain_the_presses(uniform: Recording) -> None:
+    problem = ShapeProblem(uniform, Settings())
+    model = problem.uniform()
+    deviation = float(np.sqrt(model.fit.covariance[0, 0]))
+    accepted = [problem.belong_together(model, model.fit.z + k * deviation) for k in range(5)]
+    assert accepted == [True, True, True, False, False]  # of one parameter, up to 5.2 ** 0.5
+
+
 def test_groups_that_no_model_explains_count_less() -> None:
     rng = np.random.default_rng(0)
     groups, noise = np.repeat([0, 1], 50), rng.standard_normal(100)

@@ -23,7 +23,10 @@ from tactorch.mesh.quadrature import lattice
 _DRAWS = 1000
 _POINTS = 4  # along an edge of an element, for its mean modulus
 # Attributes that files hold as they are.
-_STORED = ("chi2", "log_odds", "log_odds_any", "errors", "unexplained", "history", "predictive")
+_STORED = (
+    "chi2", "log_odds", "log_odds_any", "errors", "unexplained", "history", "predictive",
+    "at_medians",
+)  # fmt: skip
 
 
 class Interval(NamedTuple):
@@ -181,6 +184,8 @@ class ShapeReconstruction(Displayed):
             limit; None by default.
         untried: Models that were proposed, and not fitted any more by such a search.
         predictive: See `ShapeInclusion`, of each inclusion.
+        at_medians: Whether the estimate is at the medians of the parameters, which explain the
+            presses together; else it is the best fit.
         alternatives: Other inclusions that explain the presses about as well, the most probable
             first. Intervals include those with as many inclusions.
     """
@@ -199,6 +204,7 @@ class ShapeReconstruction(Displayed):
     ended: StopReason | None = None
     untried: tuple[str, ...] = ()
     predictive: tuple[float | None, ...] = ()
+    at_medians: bool = True
     alternatives: tuple[Alternative, ...] = ()
 
     def summary(self) -> str:
@@ -241,8 +247,11 @@ class ShapeReconstruction(Displayed):
         """Parameters of `field` that are reported, in standard deviations of the prior.
 
         Each is the median of its samples, and therefore within its interval. Where the posterior is
-        that of ellipsoids for a ball, their distortions are left out.
+        that of ellipsoids for a ball, their distortions are left out. Where the medians do not
+        belong together, as those of inclusions that overlap, it is the best fit.
         """
+        if not self.at_medians:
+            return self.z
         posterior, median = self.posterior.field, np.median(self.samples, axis=0)
         return posterior.changed(median, families=self.field.families)[1]
 

@@ -33,6 +33,7 @@ from tactorch.inverse.search.model import (
 )
 
 _QUICK_STEPS = 8  # of Gauss-Newton, for a provisional answer
+_WIDE = 3.0  # deviations of the misfit of samples beyond which parameters do not belong together
 _QUICK_STARTS = 2  # fits of an inclusion for a provisional answer
 # Tolerances of fits: within one standard deviation of the optimum, and a sixth of the gain by which
 # models are accepted; and within a fifth of a standard deviation, for the last fit.
@@ -282,6 +283,21 @@ class SearchProblem(ABC):
         field = ShapesOnSites(model.fit.field, self._reduced_sites).at(model.fit.z)
         pairs = zip(self.reduced.predicted(field.youngs), model.evaluation.predicted, strict=True)
         return [reduced - full for reduced, full in pairs]
+
+    def belong_together(self, model: Model, z: Float[np.ndarray, " size"]) -> bool:
+        """Return whether parameters explain the presses as well as samples of the posterior.
+
+        The rise of the misfit from the best fit to samples is half of chi-squared of as many
+        degrees of freedom as there are parameters. It is that of the reduced model.
+        """
+        data = self.data(model.errors).shifted(self.offsets(model))
+        family = ShapesOnSites(model.fit.field, self._reduced_sites)
+        best, misfit = (
+            float(np.sum(self.reduced.with_data(data).evaluate(family.at(x).youngs).residuals ** 2))
+            for x in (model.fit.z, z)
+        )
+        rise, count = (misfit - best) / max(1.0, model.fit.chi2), len(z)
+        return rise < count + _WIDE * np.sqrt(2.0 * count)
 
     def jacobian(self, model: Model) -> Float[np.ndarray, "data size"]:
         """Return the derivatives of the residuals of white noise by a model's parameters."""

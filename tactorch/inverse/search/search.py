@@ -267,12 +267,13 @@ def _result(
     if count > 1:
         odds_any = _over_rival(problem, model, range(count)).log_odds
     gains = [problem.predictive_gain(score, one.rival, one.errors) for one in each]
-    return ShapeReconstruction(
+    result = ShapeReconstruction(
         fit.field, fit.optimum, posterior, fit.chi2,
         tuple(one.log_odds for one in each), odds_any, model.errors,
         unexplained(model, problem.full.data), tuple(history), held_out=score,
         predictive=tuple(gains),
     )  # fmt: skip
+    return replace(result, at_medians=problem.belong_together(model, result.estimate))
 
 
 def _first(

@@ -258,6 +258,14 @@ def test_alternatives_are_described_with_their_probabilities(recording, shapes, 
     assert "Other inclusions" not in describe(inclusions(recording, shapes))
 
 
+def test_the_estimate_is_the_best_fit_where_medians_do_not_belong_together(shapes):
+    best = replace(shapes, z=shapes.z + 0.1)
+    assert np.abs(best.estimate - shapes.z).max() < 0.01
+    apart = replace(best, at_medians=False)
+    np.testing.assert_array_equal(apart.estimate, best.z)
+    assert not ShapeReconstruction.of(json.loads(json.dumps(apart.plain()))).at_medians
+
+
 def test_intervals_include_alternatives_with_as_many_inclusions(shapes):
     """With half the probability an ellipsoid of half the modulus, 1 mm higher."""
     other = [*VALUES[:3], 7.0, VALUES[4], np.log(2.0), *VALUES[6:]]
