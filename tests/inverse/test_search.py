@@ -250,7 +250,9 @@ def test_alternatives_share_the_probability(
     for proposal in proposals:
         fitted = {"field": proposal.field, "z": np.ones(proposal.field.size)}
         proposal.trial.configure_mock(**fitted)
-    problem = Mock(spec=SearchProblem, challenge=challenge, min_gain=3.0 * scale)
+    problem = Mock(
+        spec=SearchProblem, challenge=challenge, min_gain=3.0 * scale, max_alternatives=2
+    )
     problem.gain = lambda fit, rival: rival.complexity - fit.complexity
     found = _alternatives(problem, model, proposals, {})
     # A fit ends where the probability will be below 5 %.

@@ -68,6 +68,7 @@ class SearchProblem(ABC):
         step_sides: Sides of the body at which steps of the background may end.
         max_shapes: Largest number of inclusions.
         max_fits: Largest number of proposals from one model that are fitted with `full`.
+        max_alternatives: The same from the last model, of other inclusions that may be as probable.
         rival_share: Part of the gain that the best proposal promises, beyond which one of another
             kind is compared with it; one where the first that has enough evidence is accepted.
         tolerance: Of fits, see `fit_shapes`.
@@ -87,6 +88,7 @@ class SearchProblem(ABC):
     forms: Sequence[str] = ()
     step_sides: Sequence[str] = ("x-", "x+", "y-", "y+", "z-", "z+")
     max_fits: ClassVar[int] = 4
+    max_alternatives: ClassVar[int] = 2
     rival_share: ClassVar[float] = 0.1
     tolerance: float = ROUGH
     final_tolerance: ClassVar[float] = FINE

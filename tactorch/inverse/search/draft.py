@@ -44,7 +44,7 @@ class _Presses(SearchProblem):
     """The presses of one search, see `SearchProblem`; errors of their data are known."""
 
     proposals = (further, removed)
-    rival_share, tolerance = 1.0, 0.2
+    rival_share, tolerance, max_alternatives = 1.0, 0.2, 0
 
     def __init__(
         self,

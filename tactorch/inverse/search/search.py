@@ -4,9 +4,10 @@ A model is a background, uniform, smooth or layered, with a number of balls and 
 deviations of the recorded forces and poses. From a model others follow: with a further ball where a
 matched filter sees one in the residuals, with a background of more modes, with a ball as an
 ellipsoid, or with larger errors of the forces or poses. Each is fitted with the reduced model,
-whose data are shifted so that it agrees with the full model at the present one. They are then
-fitted with the full model, the best first, and the first that raises the evidence enough is
-accepted. What differs between contacts, palpations and sessions is in `SearchProblem`.
+whose data are shifted so that it agrees with the full model at the present one. The best of them
+are then fitted with the full model, and one that raises the evidence enough is accepted. At the
+end, models with other inclusions that are about as probable as the last one are its alternatives.
+What differs between contacts, palpations and sessions is in `SearchProblem`.
 """
 
 import logging
@@ -56,7 +57,6 @@ _MAX_SHAPES = 4
 _MAX_MODELS = 10  # one after the other
 _LEAST_PROBABLE = 0.05  # alternative that is reported
 _LEAST_LOG = float(np.log(_LEAST_PROBABLE))
-_MAX_ALTERNATIVES = 2  # that are fitted with the full model
 _OFF = 2.0  # log-evidence of the reduced model, by which it may be wrong about these
 _MANY = 10.0  # contrast beyond which a provisional answer states none
 
@@ -364,7 +364,9 @@ def _alternatives(
         if form != _form(model.fit.field) and weight > best.get(form, (-np.inf,))[0]:
             best[form] = weight, proposal
     found = []
-    for weight, proposal in sorted(best.values(), key=lambda one: -one[0])[:_MAX_ALTERNATIVES]:
+    for weight, proposal in sorted(best.values(), key=lambda one: -one[0])[
+        : problem.max_alternatives
+    ]:
         handicap, what = _handicap(proposal, size), proposal.what
         if weight < _LEAST_LOG - _OFF or is_negligible(proposal.trial):
             continue
