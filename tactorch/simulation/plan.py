@@ -12,6 +12,7 @@ from tactorch.config import Options, option
 from tactorch.errors import ConfigError, MeshError
 from tactorch.mesh.closest import closest_points
 from tactorch.mesh.geometry import farthest_point_order
+from tactorch.mesh.sharp_edges import sharp_edges
 from tactorch.mesh.tetmesh import FaceName, TetMesh, face_nodes, select_face
 from tactorch.mesh.topology import Surface
 
@@ -154,8 +155,8 @@ class PressPlan(Options):
         """Return all pressed locations on a mesh."""
         if self.points_mm is None and self.points is None:
             try:
-                for site in self.sites:
-                    select_face(mesh, site.face)
+                for face in self.faces:
+                    select_face(mesh, face)
             except MeshError as error:
                 advice = "press=around presses points that are spread over a curved surface."
                 raise MeshError(f"press.faces: {error} {advice}") from error
@@ -176,9 +177,11 @@ class PressPlan(Options):
 
     def _spread(self, mesh: TetMesh) -> Float[np.ndarray, "k 3"]:
         """Return nodes of the surface, each far from those before it, the highest first."""
-        nodes, radius = mesh.surface.nodes(), self.patch_radius_mm or 0.0
-        points, base = mesh.points[nodes], mesh.points[face_nodes(mesh, self.base)]
-        apart = [cKDTree(p).query(points)[0] for p in (_sharp_nodes(mesh), base) if len(p)]
+        surface, radius = mesh.surface, self.patch_radius_mm or 0.0
+        sharp = np.unique(sharp_edges(surface.triangles, surface.normals, _SHARP))
+        points = mesh.points[surface.nodes()]
+        borders = mesh.points[sharp], mesh.points[face_nodes(mesh, self.base)]
+        apart = [cKDTree(border).query(points)[0] for border in borders if len(border)]
         free = points[np.min(apart, axis=0) >= radius]
         if len(free) < (self.points or 0):
             raise ConfigError(
@@ -200,17 +203,6 @@ class PressPlan(Options):
         if self.patch_centers_mm is None:
             return tuple(PressSite(face) for face in self.faces)
         return tuple(PressSite(f, center) for f in self.faces for center in self.patch_centers_mm)
-
-
-def _sharp_nodes(mesh: TetMesh) -> Float[np.ndarray, "k 3"]:
-    """Return the nodes of the surface at sharp edges, mm."""
-    surface = mesh.surface
-    edges = np.sort(surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    order = np.lexsort(edges.T)  # the two triangles of an edge follow each other
-    first, second = surface.normals[order.reshape(-1, 2) // 3].transpose(1, 0, 2)
-    is_sharp = (first * second).sum(axis=1) < _SHARP
-    found: np.ndarray = mesh.points[np.unique(edges[order[::2]][is_sharp])]
-    return found
 
 
 def _normal(

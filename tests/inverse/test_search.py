@@ -1,6 +1,8 @@
 """The one search: provisional answers, sources of proposals and what models are compared by."""
 
 import logging
+from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 from unittest.mock import Mock
@@ -20,13 +22,22 @@ from tactorch.inverse.fields import (
     ShapePrior,
 )
 from tactorch.inverse.fields.tube import RING
+from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.shapes import Evidence, ShapeFit
 from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.inverse.search import search
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.draft import DraftShapes
 from tactorch.inverse.search.draft_errors import DraftOptions
-from tactorch.inverse.search.model import Model, Proposal, Start, gain, noise_weights
+from tactorch.inverse.search.model import (
+    Model,
+    Proposal,
+    Start,
+    TimeLimit,
+    gain,
+    noise_weights,
+)
 from tactorch.inverse.search.problem import ShapeProblem
 from tactorch.inverse.search.proposals import (
     _by_kind,
@@ -216,9 +227,10 @@ def test_the_best_proposal_is_accepted(
 
     problem = Mock(spec=SearchProblem, challenge=challenge, rival_share=share)
     problem.gain = lambda fit, rival: rival.complexity - fit.complexity
-    kept = dict[str, Model]()
+    kept = dict[int, ShapeFit]()
     found = _accept(problem, model, proposals, kept)
-    assert calls == fitted == list(kept)
+    assert calls == fitted
+    assert len(kept) == len(fitted)
     assert (found and found[0].what) == accepted
     assert not proposals
 
@@ -232,7 +244,7 @@ def test_alternatives_share_the_probability(
     proposals = [
         _proposal("ring", 2.0 * scale, model, families=(RING,)),
         _proposal("another ring", 1.0 * scale, model, families=(RING,)),
-        _proposal("none", -1.0 * scale, model, families=()),
+        replace(_proposal("none", -1.0 * scale, model, families=()), least_gain=0.0),
         _proposal("rod", -9.0 * scale, model, families=(rod,)),
         _proposal("ellipsoid", 2.9 * scale, model, families=(ELLIPSOID,)),  # as a ball is judged
         _proposal("smooth", 2.9 * scale, model, background=Background(2)),
@@ -244,22 +256,25 @@ def test_alternatives_share_the_probability(
         calls[proposal.what], starts[proposal.what] = margin, proposal.z
         fit = _evidence(scale * gains[proposal.what])
         # The fitted lump has a contrast, so that it is not negligible.
-        fit.configure_mock(field=proposal.field, z=np.ones(proposal.field.size))
+        z = np.ones(proposal.field.size)
+        fit.configure_mock(field=proposal.field, z=z, optimum=z)
         return Mock(spec=Model, fit=fit)
 
     for proposal in proposals:
         fitted = {"field": proposal.field, "z": np.ones(proposal.field.size)}
         proposal.trial.configure_mock(**fitted)
+        if proposal.what != "none":
+            object.__setattr__(proposal, "least_gain", 3.0 * scale)
     problem = Mock(
         spec=SearchProblem, challenge=challenge, min_gain=3.0 * scale, max_alternatives=2
     )
     problem.gain = lambda fit, rival: rival.complexity - fit.complexity
-    found = _alternatives(problem, model, proposals, {})
+    found = [*_alternatives(problem, model, proposals, {})]
     # A fit ends where the probability will be below 5 %.
     least = np.log(0.05) * scale
     assert calls == pytest.approx({"none": -least, "ring": -(least + 3.0 * scale)})
     # The ring has more parameters, and would have been accepted with a gain of 3.
-    model.fit.configure_mock(z=np.zeros(model.fit.field.size))
+    model.fit.configure_mock(optimum=np.zeros(model.fit.field.size))
     assert {one.what: one.weight for one in found} == pytest.approx({"none": -0.5, "ring": -0.5})
     monkeypatch.setattr(search, "make_posterior", lambda model, sites: Mock(spec=ShapePosterior))
     problem.sites = None
@@ -274,12 +289,54 @@ def test_alternatives_share_the_probability(
     # A fit that ended early goes on from where it was.
     ring = next(one.model for one in found if one.what == "ring")
     ring.fit.z[:] = 0.5
-    _alternatives(problem, model, proposals, {"ring": ring})
+    [*_alternatives(problem, model, proposals, {id(proposals[0]): ring.fit})]
     assert starts["ring"] == pytest.approx(0.5)
+    # A step without contrast is none, and does not take the place of others.
+    faint = replace(proposals[0], what="faint", gain=9.0 * scale, trial=_evidence(9.0 * scale))
+    faint.trial.configure_mock(field=proposals[0].field, z=np.zeros(proposals[0].field.size))
+    assert [*_alternatives(problem, model, [faint], {})] == []
+    # With other errors, the gain that these have without the ring is no gain of the ring.
+    other = replace(proposals[0], least_gain=4.5 * scale)
+    (one,) = _alternatives(problem, model, [other], {})
+    assert one.weight == pytest.approx(2.5 - 4.5)
     gains |= {"ring": -0.2, "none": -3.2}
-    assert not _alternatives(problem, model, proposals, {})
-    assert not _alternatives(problem, model, _only(proposals, "smooth", "ellipsoid"), {})
+    assert not [*_alternatives(problem, model, proposals, {})]
+    assert not [*_alternatives(problem, model, _only(proposals, "smooth", "ellipsoid"), {})]
 
 
 def _only(proposals: list[Proposal], *names: str) -> list[Proposal]:
     return [proposal for proposal in proposals if proposal.what in names]
+
+
+def test_the_most_probable_model_is_the_result(
+    model: Mock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An interrupted comparison keeps what it has, and is noted."""
+    better, worse = (Mock(spec=Model, fit=model.fit, errors={}, name=name) for name in "ab")
+    path = Mock(rejected=[], fitted={}, history=[], untried=[], ended=None)
+    path.kept = nullcontext
+
+    def alternatives(*_: Any) -> Iterator[_Likely]:
+        yield _Likely(1.0, better, "a ring")
+        yield _Likely(-1.0, worse, "a rod")
+        raise KeyboardInterrupt
+
+    field = ShapeField(ShapePrior.of(MESH, 0.2))
+    posterior = ShapePosterior(field, np.zeros(1), np.zeros(1), np.eye(1))
+    result = ShapeReconstruction(field, np.zeros(1), posterior, 1.0, (), 0.0)
+    problem = Mock(spec=SearchProblem, sites=None)
+    problem.precise = problem.final = lambda model: model
+    problem.posterior = lambda model: (model, posterior)
+    model.fit.configure_mock(z=np.zeros(6), optimum=np.zeros(6))
+    for name, value in {
+        "_accept_models": lambda *_: (model, path), "_alternatives": alternatives,
+        "_result": lambda *_: result, "make_posterior": lambda *_: posterior,
+    }.items():  # fmt: skip
+        monkeypatch.setattr(search, name, value)
+    best, found = search.search(problem, TimeLimit(None, lambda: False))
+    assert best is better
+    path.accept.assert_called_once_with("a ring", better)
+    assert found.ended is StopReason.INTERRUPTED
+    weights = np.exp([0.0, -1.0, -2.0])
+    shares = [other.probability for other in found.alternatives]
+    assert shares == pytest.approx(weights[1:] / weights.sum())

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
 from scipy.special import expit
 
 from tactorch.display import Displayed, Summarized
@@ -135,12 +137,12 @@ class Alternative(NamedTuple):
         return list(self.field.shapes(self.z))
 
     @property
-    def steps(self) -> dict[str, tuple[float, float]]:
-        """Place (mm) and contrast of each step of the background, by side."""
+    def steps(self) -> list[tuple[str, float, float]]:
+        """Side, place (mm) and contrast of each step of the background."""
         background, values = self.field.background, self.field.physical(self.z)
-        places = [values[background.step_at(k)] for k in range(len(background.steps))]
+        places = [values[background.step_at(k)].tolist() for k in range(len(background.steps))]
         pairs = zip(background.steps, places, strict=True)
-        return {side: (float(place), float(np.exp(log))) for side, (place, log) in pairs}
+        return [(side, place, float(np.exp(log))) for side, (place, log) in pairs]
 
     def plain(self) -> dict[str, Any]:
         """Return probability, inclusions and steps as plain values, mm."""
@@ -152,7 +154,7 @@ class Alternative(NamedTuple):
         ]  # fmt: skip
         steps = [
             {"side": side, "place_mm": place, "contrast": contrast}
-            for side, (place, contrast) in self.steps.items()
+            for side, place, contrast in self.steps
         ]
         return {"probability": self.probability, "lumps": lumps, "steps": steps}
 
@@ -161,8 +163,8 @@ class Alternative(NamedTuple):
 class ShapeReconstruction(Displayed):
     """Inclusions with sharp boundaries in a background, see `Background`.
 
-    Values and maps are those of `estimate`, which is the centre of the posterior. Where the
-    posterior is skewed, it differs from the best fit `z`, of which chi2 and predictions are.
+    Values and maps are those of `estimate`, which is the centre of the posterior in general. Where
+    the posterior is skewed, it differs from the best fit `z`, of which chi2 and predictions are.
 
     Attributes:
         field: The family of the shapes, with the prior of its parameters.
@@ -187,7 +189,8 @@ class ShapeReconstruction(Displayed):
         at_medians: Whether the estimate is at the medians of the parameters, which explain the
             presses together; else it is the best fit.
         alternatives: Other inclusions that explain the presses about as well, the most probable
-            first. Intervals include those with as many inclusions.
+            first. Intervals of inclusions include those with as many inclusions; intervals of
+            elements and steps are those of the result alone.
     """
 
     field: ShapeField
@@ -314,16 +317,17 @@ class ShapeReconstruction(Displayed):
         return tuple(np.argsort(-np.array(self.log_odds), kind="stable").tolist())
 
     def _draws(self, k: int) -> InclusionValues:
-        """Return samples of an inclusion, and of the nearest one of each alternative."""
+        """Return samples of an inclusion, and of the one in its place in each alternative."""
         own = 1.0 - sum(other.probability for other in self.alternatives)
         parts = [InclusionValues.of(self.posterior.field, self.samples, k)]
-        center = parts[0].center_mm.mean(axis=0)
+        centers = [shape.centroid_mm for shape in self.field.shapes(self.estimate)]
         for other in self.alternatives:
             count = round(len(self.samples) * other.probability / own)
-            if len(other.field.parts) == len(self.field.parts) and count:
-                apart = [np.linalg.norm(s.centroid_mm - center) for s in other.shapes]
+            if len(other.field.parts) == len(centers) and count:
+                others = [shape.centroid_mm for shape in other.shapes]
+                nearest = linear_sum_assignment(cdist(centers, others))[1]
                 z = other.posterior.samples(count)
-                parts.append(InclusionValues.of(other.posterior.field, z, int(np.argmin(apart))))
+                parts.append(InclusionValues.of(other.posterior.field, z, int(nearest[k])))
         return InclusionValues(*map(np.concatenate, zip(*parts, strict=True)))
 
     def _inclusion(self, k: int, shape: InclusionShape) -> ShapeInclusion:

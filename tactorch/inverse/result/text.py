@@ -74,15 +74,19 @@ def describe_steps(result: Reconstruction) -> list[str]:
 
 
 def describe_alternatives(result: Reconstruction) -> list[str]:
-    """Return a sentence on the other inclusions that explain the presses about as well."""
-    others = result.shapes.alternatives if result.shapes is not None else ()
-    if not others:
+    """Return a sentence on other models that explain the presses about as well.
+
+    There is none where the lumps are not all inclusions of the model, whose probability is stated.
+    """
+    shapes = result.shapes
+    if shapes is None or len(result.lumps) != len(shapes.inclusions) or not shapes.alternatives:
         return []
+    others = shapes.alternatives
     own = _percent(1.0 - sum(other.probability for other in others))
     texts = [f"{_describe_other(other)} ({_percent(other.probability)})" for other in others]
     return [
-        f"Other inclusions explain the presses about as well. This is {own} probable; or there is "
-        f"{', or '.join(texts)}."
+        "Other models explain the presses about as well. The one above has a probability of "
+        f"{own}; or there is {', or '.join(texts)}."
     ]
 
 
@@ -95,8 +99,8 @@ def _describe_other(other: Alternative) -> str:
         size, long = _size(2.0 * shape.half_size_mm, Elongation.of(shape), shape.form)
         where = f"a {long}{word} {shape.form} at {_point(shape.centroid_mm)}, {size}"
         parts.append(f"{where}, {times:.2g} times as {word} as its surroundings")
-    for axis_side, (place, contrast) in other.steps.items():
-        axis, sign = axis_side[0], "<" if axis_side[1] == "-" else ">"
+    for side, place, contrast in other.steps:
+        axis, sign = side[0], "<" if side[1] == "-" else ">"
         where = f"{axis} {sign} {place:.3g} mm"
         parts.append(f"a step to {contrast:.2g} times the modulus where {where}")
     return " and ".join(parts) or "no lump"

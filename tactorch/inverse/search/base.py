@@ -64,7 +64,7 @@ class SearchProblem(ABC):
         prior: Prior of the parameters of inclusions.
         errors: Errors of the data that occur.
         proposals: Sources of models.
-        forms: Families as which inclusions are tried that are no balls.
+        forms: Families as which inclusions are tried.
         step_sides: Sides of the body at which steps of the background may end.
         max_shapes: Largest number of inclusions.
         max_fits: Largest number of proposals from one model that are fitted with `full`.

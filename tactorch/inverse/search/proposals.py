@@ -235,7 +235,7 @@ def removed(problem: SearchProblem, model: Model) -> Iterator[Start]:
 
 
 def changed(problem: SearchProblem, model: Model) -> Iterator[Start]:
-    """Yield the model with each inclusion of a family with more parameters.
+    """Yield the model with each inclusion of each other family.
 
     Plates remain cuboids: as another form they would be nearly all of the body.
     """

@@ -125,14 +125,14 @@ class _Path:
     """The last model that a search has accepted, records of all, and what was not tried.
 
     `rejected` are the proposals from the last model, and `fitted` their fits with the full model,
-    by description, which may have ended early.
+    by their `id`, which may have ended early.
     """
 
     state: Start
     history: list[dict[str, Any]]
     untried: list[Proposal] = field(default_factory=list)
     rejected: list[Proposal] = field(default_factory=list)
-    fitted: dict[str, Model] = field(default_factory=dict)
+    fitted: dict[int, ShapeFit] = field(default_factory=dict)
     ended: StopReason | None = None  # what ended it early
 
     def accept(self, what: str, model: Model) -> None:
@@ -179,11 +179,16 @@ def search(
     with path.kept():
         update("alternatives")
         likely = [_Likely(0.0, model)]
-        if not path.ended:
-            likely += _alternatives(problem, model, path.rejected, path.fitted)
+
+        def compare(_: int) -> bool:
+            for one in _alternatives(problem, model, path.rejected, path.fitted):
+                likely.append(one)
+            return False
+
+        path.ended = path.ended or improve(compare, 1, limit)
         likely.sort(key=lambda one: -one.weight)
         if likely[0].model is not model:
-            model = likely[0].model
+            model = problem.precise(likely[0].model)
             path.accept(likely[0].what, model)
         alternatives = _shares(problem, likely)
         update("final fit")
@@ -294,7 +299,7 @@ def _first(
 
 
 def _accept(
-    problem: SearchProblem, model: Model, untried: list[Proposal], fitted: dict[str, Model]
+    problem: SearchProblem, model: Model, untried: list[Proposal], fitted: dict[int, ShapeFit]
 ) -> tuple[Proposal, Model] | None:
     """Return the proposal of most evidence by the full model, if that is more than the model's.
 
@@ -319,12 +324,13 @@ def _challenge(
     proposal: Proposal,
     model: Model,
     rival: Model | None,
-    fitted: dict[str, Model],
+    fitted: dict[int, ShapeFit],
 ) -> Model | None:
     """Return a proposal fitted with the full model; None without enough evidence."""
     with suppress(ConvergenceError), progress_line(proposal.what):
         missing = -proposal.least_gain if rival is None else 0.0
-        trial = fitted[proposal.what] = problem.challenge(proposal, model, missing, rival)
+        trial = problem.challenge(proposal, model, missing, rival)
+        fitted[id(proposal)] = trial.fit
         change = problem.gain(trial.fit, model.fit)
         _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)
         is_better = rival is None or problem.gain(trial.fit, rival.fit) > 0.0
@@ -345,42 +351,36 @@ def _alternatives(
     problem: SearchProblem,
     model: Model,
     rejected: Sequence[Proposal],
-    fitted: Mapping[str, Model],
-) -> list[_Likely]:
-    """Return models of other inclusions that are about as probable as a model.
+    fitted: Mapping[int, ShapeFit],
+) -> Iterator[_Likely]:
+    """Yield models of other inclusions that are about as probable as a model.
 
-    Those with more parameters have less probability beforehand, by the gain of evidence for which
-    they would have been accepted. They are fitted as far as they may be probable, and not only as
-    far as they may be accepted.
+    Those that need more evidence to be accepted have less probability beforehand, by as much. They
+    are fitted as far as they may be probable, and not only as far as they may be accepted.
     """
     scale, size = problem.min_gain / MIN_GAIN, model.fit.field.size
-    best: dict[object, tuple[float, Proposal]] = {}
+    best: dict[object, tuple[float, float, Proposal]] = {}
     for proposal in rejected:
         gain, form = proposal.gain, _form(proposal.field)
-        if (known := fitted.get(proposal.what)) is not None:  # a fit that may have ended early
-            gain = max(gain, problem.gain(known.fit, model.fit))
-            proposal = replace(proposal, z=known.fit.z)
-        weight = gain / scale - _handicap(proposal, size)
-        if form != _form(model.fit.field) and weight > best.get(form, (-np.inf,))[0]:
-            best[form] = weight, proposal
-    found = []
-    for weight, proposal in sorted(best.values(), key=lambda one: -one[0])[
-        : problem.max_alternatives
-    ]:
-        handicap, what = _handicap(proposal, size), proposal.what
-        if weight < _LEAST_LOG - _OFF or is_negligible(proposal.trial):
+        if (known := fitted.get(id(proposal))) is not None:  # a fit that may have ended early
+            gain = max(gain, problem.gain(known, model.fit))
+            proposal = replace(proposal, z=known.z)
+        handicap = max(0.0, proposal.least_gain / scale - MIN_GAIN * (proposal.field.size <= size))
+        weight = gain / scale - handicap
+        if form == _form(model.fit.field) or is_negligible(proposal.trial):
             continue
-        with suppress(ConvergenceError), progress_line(what):
+        if weight > best.get(form, (-np.inf,))[0]:
+            best[form] = weight, handicap, proposal
+    tried = sorted(best.values(), key=lambda one: -one[0])[: problem.max_alternatives]
+    for weight, handicap, proposal in tried:
+        if weight < _LEAST_LOG - _OFF:
+            continue
+        with suppress(ConvergenceError), progress_line(proposal.what):
             other = problem.challenge(proposal, model, -scale * (_LEAST_LOG + handicap))
             gain = problem.gain(other.fit, model.fit)
-            _log.info("alternative, %s: log-evidence %+.4g", what, gain)
+            _log.info("alternative, %s: log-evidence %+.4g", proposal.what, gain)
             if gain / scale - handicap > _LEAST_LOG and not is_negligible(other.fit):
-                found.append(_Likely(gain / scale - handicap, other, what))
-    return found
-
-
-def _handicap(proposal: Proposal, size: int) -> float:
-    return MIN_GAIN if proposal.field.size > size else 0.0
+                yield _Likely(gain / scale - handicap, other, proposal.what)
 
 
 def _shares(problem: SearchProblem, likely: Sequence[_Likely]) -> tuple[Alternative, ...]:
@@ -390,7 +390,7 @@ def _shares(problem: SearchProblem, likely: Sequence[_Likely]) -> tuple[Alternat
     for p, one in zip((weights / weights.sum()).tolist()[1:], likely[1:], strict=True):
         if p > _LEAST_PROBABLE:
             fit, posterior = one.model.fit, make_posterior(one.model, problem.sites)
-            found.append(Alternative(p, fit.field, fit.z, posterior))
+            found.append(Alternative(p, fit.field, fit.optimum, posterior))
     return tuple(found)
 
 

@@ -243,19 +243,21 @@ def test_alternatives_are_described_with_their_probabilities(recording, shapes, 
     rods = replace(FIELD, families=(FAMILIES["rod"], FAMILIES["ball"]))
     own = [*VALUES[:6], 0.0, 3.0, 0.0, 2.0, 2.0, 2.0, 0.0, np.log(0.5)]
     rod = alternative(0.3, rods, own)
-    skin = replace(FIELD, families=(), background=Background(steps=("z+",)))
-    step = alternative(0.1, skin, [VALUES[0], 8.0, np.log(3.0)])
+    skin = replace(FIELD, families=(), background=Background(steps=("z+", "z+")))
+    step = alternative(0.1, skin, [VALUES[0], 9.0, np.log(2.0), 8.0, np.log(3.0)])
     finding = inclusions(recording, replace(shapes, alternatives=(rod, step)))
     text = describe(finding)
-    assert "This is 60 % probable; or there is a stiff rod at (5.0, 5.0, 6.0) mm, " in text
+    assert "has a probability of 60 %; or there is a stiff rod at (5.0, 5.0, 6.0) mm, " in text
     assert ", 4 times as stiff as its surroundings and a soft lump at (2.0, 2.0, 2.0)" in text
-    assert "2 times as soft as its surroundings (30 %), or a step to 3 times the modulus " in text
+    assert "2 times as soft as its surroundings (30 %), or a step to 2 times the modulus " in text
     assert text.endswith("where z > 8 mm (10 %).")
     first, second = json.loads(json.dumps(finding.plain()))["alternatives"]
     assert first["probability"] == 0.3
     assert [lump["form"] for lump in first["lumps"]] == ["rod", "lump"]
-    assert second["steps"] == [{"side": "z+", "place_mm": 8.0, "contrast": pytest.approx(3.0)}]
-    assert "Other inclusions" not in describe(inclusions(recording, shapes))
+    assert second["steps"][1] == {"side": "z+", "place_mm": 8.0, "contrast": pytest.approx(3.0)}
+    assert "Other models" not in describe(inclusions(recording, shapes))
+    doubtful = replace(shapes, alternatives=(rod,), log_odds=(0.0,))
+    assert "Other models" not in describe(inclusions(recording, doubtful))
 
 
 def test_the_estimate_is_the_best_fit_where_medians_do_not_belong_together(shapes):
