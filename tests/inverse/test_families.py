@@ -41,6 +41,7 @@ DISTORTED = {
     "tapered rod": [1.5, 0.8, 0.4, 0.5],
     "bent rod": [1.9, 0.8, 0.4, -0.3, 1.1, 0.4],
     "ring": [0.6, -0.8, 2.1],
+    "irregular lump": np.random.default_rng(3).normal(0.0, 0.06, 21).tolist(),
 }
 
 

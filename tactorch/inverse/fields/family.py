@@ -38,6 +38,7 @@ FAMILIES = Registry(
         "tapered rod": "tactorch.inverse.fields.tube:TAPERED_ROD",
         "bent rod": "tactorch.inverse.fields.tube:BENT_ROD",
         "ring": "tactorch.inverse.fields.tube:RING",
+        "irregular lump": "tactorch.inverse.fields.star:STAR",
     },
 )
 

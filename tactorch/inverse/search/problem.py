@@ -60,7 +60,9 @@ class ShapeProblem(SearchProblem):
         other_errors, further, backgrounds, slabs, simpler_background, removed, changed, joined,
         split, inclusions_as_steps,
     )  # fmt: skip
-    forms = "ellipsoid", "cuboid", "rod", "tapered rod", "bent rod", "ring"
+    forms = (
+        "ellipsoid", "cuboid", "rod", "tapered rod", "bent rod", "ring", "irregular lump",
+    )  # fmt: skip
     trial_steps = 20  # a form starts far from its best fit
 
     def __init__(

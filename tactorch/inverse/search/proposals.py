@@ -11,6 +11,7 @@ import numpy as np
 from tactorch.inverse.errors import Levels
 from tactorch.inverse.fields import FAMILIES, Cloud, InclusionShape
 from tactorch.inverse.fields.family import families_beyond
+from tactorch.inverse.fields.star import STAR
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import (
     DEGREES,
@@ -252,7 +253,10 @@ def changed(problem: SearchProblem, model: Model) -> Iterator[Start]:
 
 
 def joined(problem: SearchProblem, model: Model) -> Iterator[Start]:
-    """Yield the model with neighbours that are all stiffer, or softer, as one of each family."""
+    """Yield the model with neighbours that are all stiffer, or softer, as one of each family.
+
+    They are no irregular lump: as one, it would blur the edges between them.
+    """
     shapes = list(model.fit.field.shapes(model.fit.z))
     numbers = range(len(shapes))
     groups = list(combinations(numbers, 2)) + ([tuple(numbers)] if len(shapes) > 2 else [])
@@ -261,7 +265,8 @@ def joined(problem: SearchProblem, model: Model) -> Iterator[Start]:
         stiffer = [shape.contrast > 1.0 for shape in parts]
         if (all(stiffer) or not any(stiffer)) and _are_near(parts):
             for name in problem.forms:
-                yield as_one(model, group, FAMILIES[name])
+                if FAMILIES[name] is not STAR:
+                    yield as_one(model, group, FAMILIES[name])
 
 
 def split(problem: SearchProblem, model: Model) -> Iterator[Start]:

@@ -355,8 +355,9 @@ def _alternatives(
 ) -> Iterator[_Likely]:
     """Yield models of other inclusions that are about as probable as a model.
 
-    Those that need more evidence to be accepted have less probability beforehand, by as much. They
-    are fitted as far as they may be probable, and not only as far as they may be accepted.
+    One of two models has less probability beforehand by the gain of evidence for which it would be
+    accepted after the other. They are fitted as far as they may be probable, and not only as far as
+    they may be accepted.
     """
     scale, size = problem.min_gain / MIN_GAIN, model.fit.field.size
     best: dict[object, tuple[float, float, Proposal]] = {}
@@ -365,7 +366,7 @@ def _alternatives(
         if (known := fitted.get(id(proposal))) is not None:  # a fit that may have ended early
             gain = max(gain, problem.gain(known, model.fit))
             proposal = replace(proposal, z=known.z)
-        handicap = max(0.0, proposal.least_gain / scale - MIN_GAIN * (proposal.field.size <= size))
+        handicap = proposal.least_gain / scale - MIN_GAIN * (proposal.field.size <= size)
         weight = gain / scale - handicap
         if form == _form(model.fit.field) or is_negligible(proposal.trial):
             continue
