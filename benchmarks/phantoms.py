@@ -3,11 +3,12 @@
     python benchmarks/phantoms.py [--only NAME...] [--workers N] [--runs FOLDER] [--out FOLDER]
         [--picture FILE]
 
-Each object is pressed, inverted and scored by the commands of a user: `tactorch simulate` with
-`press=around` for those that are no cubes, `tactorch invert` and `tactorch evaluate`. The presses
-are solved on finer meshes whose faces follow the inclusions, with noise of 40 dB. Scores compare
-with the object, averaged over the elements of the recording. The picture has slices through the
-middle of each object, or through a ball: the object above, what is found below.
+Each object is pressed, inverted and scored by the commands of a user: `tactorch simulate`,
+`tactorch invert` and `tactorch evaluate`. Cubes are pressed on three sides, bodies with a flat top
+there, and others at six points around (`PRESSES`). The presses are solved on finer meshes whose
+faces follow the inclusions, with noise of 40 dB. Scores compare with the object, averaged over the
+elements of the recording. The picture has slices through the middle of each object: the object
+above, what is found below.
 
 A run that is in the folder `--runs` is not made again: use a new one for each version of the code.
 The last line printed is one JSON object.
@@ -26,8 +27,7 @@ from typing import Any
 from machine import OtherWork, map_in_processes, write_results
 
 from tactorch.inverse import Reconstruction
-from tactorch.mesh import Box
-from tactorch.phantoms import PHANTOMS, make_phantom
+from tactorch.phantoms import PHANTOMS
 from tactorch.recording import Recording
 from tactorch.viz.figure import save_figure
 from tactorch.viz.paper import Panel, panels_figure
@@ -35,8 +35,17 @@ from tactorch.viz.paper import Panel, panels_figure
 NAMES = tuple(name for name in PHANTOMS.names() if name not in ("mesh", "labelled"))
 PACKAGES = ("tactorch", "torch", "numpy", "scipy", "numba", "pypardiso", "mkl")
 COLUMNS = 6  # of the picture
-# The neck of the toy bends under the pressure that the others bear.
-LESS = {"toy_two_spheres": ["press.p_max_mpa=0.01"]}
+TOP, AROUND = ["press=top"], ["press=around", "press.points=6", "press.steps=1"]
+PRESSES = {
+    "cylinder_sphere": TOP,
+    "cylinder_hole_sphere": TOP,
+    "hyperboloid_sphere": TOP,
+    "hemisphere_spheres": AROUND,
+    "hemisphere_random": AROUND,
+    "hemisphere_two_spheres": AROUND,
+    # Its neck bends under the pressure that the others bear.
+    "toy_two_spheres": [*AROUND, "press.p_max_mpa=0.01"],
+}
 LIMITS = (0.0, 1.0)  # of its colours, MPa
 
 
@@ -69,11 +78,9 @@ def run(name: str, folder: Path) -> dict[str, Any]:
     """Press, invert and score an object; return scores, words and seconds."""
     print(f"{name} ...", file=sys.stderr, flush=True)
     recording, out = folder / f"{name}.h5", folder / name
-    press = [] if isinstance(make_phantom(name).body, Box) else ["press=around"]
-    press += LESS.get(name, [])
     try:
         if not recording.exists():
-            tactorch("simulate", f"phantom={name}", *press, f"out={recording}")
+            tactorch("simulate", f"phantom={name}", *PRESSES.get(name, []), f"out={recording}")
         began = time.perf_counter()
         if not (out / "scores.json").exists():
             tactorch("invert", f"recording={recording}", f"run_dir={out}", "plots=false")

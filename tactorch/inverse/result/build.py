@@ -74,6 +74,11 @@ def _reasons_of(result: ShapeReconstruction) -> tuple[str, ...]:
 def _warnings_of(result: ShapeReconstruction) -> tuple[str, ...]:
     """Return a sentence on each error of the measurement that the data show, and on the search."""
     texts = [error.sentence(result.errors.get(error.name, 0.0)) for error in ERRORS]
+    if not result.at_medians:
+        texts.append(
+            "Inclusions overlap, and the presses determine them together only: the map is that of "
+            "the best fit, and values of single inclusions may be outside their intervals."
+        )
     if result.ended is not None:
         text = f"The search ended early ({result.ended}): there may be more inclusions."
         if result.untried:

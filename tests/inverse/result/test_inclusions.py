@@ -260,11 +260,15 @@ def test_alternatives_are_described_with_their_probabilities(recording, shapes, 
     assert "Other models" not in describe(inclusions(recording, doubtful))
 
 
-def test_the_estimate_is_the_best_fit_where_medians_do_not_belong_together(shapes):
+def test_the_estimate_is_the_best_fit_where_medians_do_not_belong_together(
+    recording, shapes, inclusions
+):
     best = replace(shapes, z=shapes.z + 0.1)
     assert np.abs(best.estimate - shapes.z).max() < 0.01
     apart = replace(best, at_medians=False)
     np.testing.assert_array_equal(apart.estimate, best.z)
+    assert "Inclusions overlap" in describe(inclusions(recording, apart))
+    assert "Inclusions overlap" not in describe(inclusions(recording, best))
     assert not ShapeReconstruction.of(json.loads(json.dumps(apart.plain()))).at_medians
 
 
