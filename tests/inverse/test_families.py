@@ -91,6 +91,7 @@ def test_the_body_is_where_the_modulus_differs(name):
     largest = np.abs(points[inside] - shape.center_mm).max(axis=0)
     assert (largest <= shape.half_size_mm).all()
     np.testing.assert_allclose(largest, shape.half_size_mm, rtol=0.05)
+    np.testing.assert_allclose(np.ptp(points[inside], axis=0), shape.size_mm, rtol=0.07)
     vertices, _ = shape.surface(16)
     np.testing.assert_allclose(np.abs(shape.distance(vertices)).max(), 0.0, atol=1e-9)
 

@@ -153,8 +153,13 @@ class InclusionShape:
 
     @property
     def half_size_mm(self) -> Float[np.ndarray, "3"]:
-        """Half the size along x, y and z."""
+        """Largest distance of its points from the centre along x, y and z."""
         return np.linalg.norm(self.vectors, axis=0)
+
+    @property
+    def size_mm(self) -> Float[np.ndarray, "3"]:
+        """Size along x, y and z: twice the half of it where the centre is in the middle."""
+        return 2.0 * self.half_size_mm
 
     def surface(self, segments: int = 48) -> TriangleSurface:
         """Return vertices (mm) and outward triangles; see `tactorch.mesh.Shape.surface`."""

@@ -176,11 +176,21 @@ class StarShape(InclusionShape):
         """Centre of volume, mm."""
         return self.center_mm + _offset(np.log([self.ball_mm]), np.array([self.coefficients]))[0]
 
-    @cached_property
+    @property
     def half_size_mm(self) -> Float[np.ndarray, "3"]:
         """Largest distance of its points from the centre along x, y and z."""
-        extents = np.abs(self._radii(_AT_FINELY)[:, None] * _FINELY).max(axis=0)
-        return np.asarray(_BEYOND * extents)
+        return np.asarray(np.abs(self._extents).max(axis=0))
+
+    @property
+    def size_mm(self) -> Float[np.ndarray, "3"]:
+        """Size along x, y and z."""
+        return np.asarray(np.ptp(self._extents, axis=0))
+
+    @cached_property
+    def _extents(self) -> Float[np.ndarray, "2 3"]:
+        """Lowest and highest coordinates, from the centre."""
+        points = _BEYOND * self._radii(_AT_FINELY)[:, None] * _FINELY
+        return np.stack([points.min(axis=0), points.max(axis=0)])
 
     def surface(self, segments: int = 48) -> TriangleSurface:
         """Return vertices (mm) and outward triangles; see `tactorch.mesh.Shape.surface`."""

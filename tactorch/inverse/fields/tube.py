@@ -153,14 +153,25 @@ class TubeShape(InclusionShape):
 
     @property
     def half_size_mm(self) -> Float[np.ndarray, "3"]:
-        """Half the size along x, y and z."""
+        """Largest distance of its points from the centre along x, y and z."""
+        return np.asarray(np.abs(self._extents).max(axis=0))
+
+    @property
+    def size_mm(self) -> Float[np.ndarray, "3"]:
+        """Size along x, y and z."""
+        return np.asarray(np.ptp(self._extents, axis=0))
+
+    @property
+    def _extents(self) -> Float[np.ndarray, "2 3"]:
+        """Lowest and highest coordinates, from the centre."""
         nodes = np.array(self.nodes_mm)
         if len(nodes) == 1:
             across = np.sqrt(np.maximum(nodes[0] @ nodes[0] - nodes[0] ** 2, 0.0))
-            return np.asarray(across + self.tube_mm)
-        half = np.abs(nodes - self.center_mm)
-        ends = self.slope * float(length(half[-1])) * np.array([[-1.0], [1.0]])
-        return (half + (ends if self.slope else 0.0)).max(axis=0) + self.tube_mm
+            return np.outer([-1.0, 1.0], across + self.tube_mm)
+        nodes = nodes - self.center_mm
+        t = np.linspace(-1.0, 1.0, len(nodes))[:, None]
+        radii = self.tube_mm + self.slope * float(length(nodes[-1])) * t
+        return np.stack([(nodes - radii).min(axis=0), (nodes + radii).max(axis=0)])
 
     def surface(self, segments: int = 48) -> TriangleSurface:
         """Return vertices (mm) and outward triangles; the number of segments has no effect."""

@@ -111,7 +111,7 @@ def _lump(recording: Recording, found: ShapeInclusion) -> Lump:
         found.youngs_90_mpa,
     )
     depth = measure_depth(mesh, recording.presses, center, inside)
-    size, elongation = 2.0 * shape.half_size_mm, Elongation.of(shape)
+    size, elongation = shape.size_mm, Elongation.of(shape)
     return Lump(inclusion, size, depth, confidence, elongation, shape.form)
 
 

@@ -148,7 +148,7 @@ class Alternative(NamedTuple):
         """Return probability, inclusions and steps as plain values, mm."""
         lumps = [
             {"form": shape.form, "center_mm": shape.centroid_mm.tolist(),
-             "size_mm": (2.0 * shape.half_size_mm).tolist(),
+             "size_mm": shape.size_mm.tolist(),
              "equivalent_radius_mm": shape.radius_mm, "contrast": shape.contrast}
             for shape in self.shapes
         ]  # fmt: skip

@@ -96,7 +96,7 @@ def _describe_other(other: Alternative) -> str:
     for shape in other.shapes:
         word = "stiff" if shape.contrast > 1.0 else "soft"
         times = max(shape.contrast, 1.0 / shape.contrast)
-        size, long = _size(2.0 * shape.half_size_mm, Elongation.of(shape), shape.form)
+        size, long = _size(shape.size_mm, Elongation.of(shape), shape.form)
         where = f"a {long}{word} {shape.form} at {_point(shape.centroid_mm)}, {size}"
         parts.append(f"{where}, {times:.2g} times as {word} as its surroundings")
     for side, place, contrast in other.steps:
