@@ -76,8 +76,9 @@ def _warnings_of(result: ShapeReconstruction) -> tuple[str, ...]:
     texts = [error.sentence(result.errors.get(error.name, 0.0)) for error in ERRORS]
     if not result.at_medians:
         texts.append(
-            "Inclusions overlap, and the presses determine them together only: the map is that of "
-            "the best fit, and values of single inclusions may be outside their intervals."
+            "The presses determine the parameters of the inclusions together only, as of ones that "
+            "overlap: the map is that of the best fit, and single values may be outside their "
+            "intervals."
         )
     if result.ended is not None:
         text = f"The search ended early ({result.ended}): there may be more inclusions."

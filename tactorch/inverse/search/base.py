@@ -289,9 +289,12 @@ class SearchProblem(ABC):
     def belong_together(self, model: Model, z: Float[np.ndarray, " size"]) -> bool:
         """Return whether parameters explain the presses as well as samples of the posterior.
 
-        The rise of the misfit from the best fit to samples is half of chi-squared of as many
-        degrees of freedom as there are parameters. It is that of the reduced model.
+        The rise of the sum of squares from the best fit to samples is chi-squared of as many
+        degrees of freedom as there are parameters. It is that of the reduced model. With groups of
+        data of different noise it is not known, and the posterior is normal about the best fit.
         """
+        if self.groups is not None:
+            return True
         data = self.data(model.errors).shifted(self.offsets(model))
         family = ShapesOnSites(model.fit.field, self._reduced_sites)
         best, misfit = (

@@ -267,8 +267,8 @@ def test_the_estimate_is_the_best_fit_where_medians_do_not_belong_together(
     assert np.abs(best.estimate - shapes.z).max() < 0.01
     apart = replace(best, at_medians=False)
     np.testing.assert_array_equal(apart.estimate, best.z)
-    assert "Inclusions overlap" in describe(inclusions(recording, apart))
-    assert "Inclusions overlap" not in describe(inclusions(recording, best))
+    assert "together only" in describe(inclusions(recording, apart))
+    assert "together only" not in describe(inclusions(recording, best))
     assert not ShapeReconstruction.of(json.loads(json.dumps(apart.plain()))).at_medians
 
 
