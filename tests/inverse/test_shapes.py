@@ -276,7 +276,7 @@ def test_models_are_changed_without_a_change_of_what_remains():
 
 
 def test_inclusions_are_tried_as_other_forms_and_as_one():
-    """Neighbours that are both stiffer are joined."""
+    """Neighbours that are both stiffer are joined, but not as an irregular lump."""
     families = (BALL, ELLIPSOID, BALL, BALL)
     field = ShapeField(PRIOR, families)
     ball = [np.log(1.5), np.log(4.0)]
@@ -284,11 +284,12 @@ def test_inclusions_are_tried_as_other_forms_and_as_one():
     values += [4.5, 4.0, 5.0, np.log(1.5), -1.0, 4.0, 9.0, 9.0, np.log(0.4), 1.0]
     model = Mock(spec=Model, errors={})
     model.fit = SimpleNamespace(field=field, z=field.standard(np.array(values)))
-    problem = Mock(spec=SearchProblem, forms=("ellipsoid", "ring"))
+    problem = Mock(spec=SearchProblem, forms=("ellipsoid", "ring", "irregular lump"))
     starts = {start.what: start for start in [*changed(problem, model), *joined(problem, model)]}
     assert set(starts) == {
         *(f"inclusion {k} as an ellipsoid" for k in (0, 2, 3)),
         *(f"inclusion {k} as a ring" for k in range(4)),
+        *(f"inclusion {k} as an irregular lump" for k in range(4)),
         "inclusion 0 and 1 as an ellipsoid", "inclusion 0 and 1 as a ring",
     }  # fmt: skip
     start = starts["inclusion 0 and 1 as an ellipsoid"]
