@@ -159,12 +159,14 @@ def test_the_best_of_each_kind_are_tried_first(model: Mock) -> None:
     proposals = [
         _proposal("one place", 40.0, model, families=two),
         _proposal("another place", 30.0, model, families=two),
+        _proposal("irregular", 25.0, model, families=(FAMILIES["irregular lump"],)),
         _proposal("a ring", 20.0, model, families=(RING,)),
         _proposal("a third place", 15.0, model, families=two),
         _proposal("smooth", 10.0, model, background=Background(2)),
     ]
     order = [proposal.what for proposal in _by_kind(proposals)]
-    assert order == ["one place", "a ring", "smooth", "another place", "a third place"]
+    first = ["one place", "irregular", "a ring", "smooth"]
+    assert order == [*first, "another place", "a third place"]
 
 
 def test_a_further_inclusion_is_tried_beside_other_forms(model: Mock) -> None:

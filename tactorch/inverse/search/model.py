@@ -70,8 +70,8 @@ class Proposal(Start):
         gain: Its log-evidence over that of the present model.
         least_gain: Gain of log-evidence for which it is accepted.
         promise: Gain of the trial at the noise that the present model would need.
-        kind: What it changes of the present model: number of inclusions, families, background, and
-            errors.
+        kind: What it changes of the present model: number of inclusions, families, background,
+            errors, and whether one becomes an irregular lump.
     """
 
     trial: ShapeFit

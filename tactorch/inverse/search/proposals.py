@@ -92,7 +92,9 @@ def _kind(other: Start, model: Model) -> tuple[bool, ...]:
     field, families = model.fit.field, other.field.families
     adds = len(families) > len(field.families)
     same = families[: len(field.families)] == field.families[: len(families)]
-    return adds, same, other.field.background != field.background, other.errors != model.errors
+    changes = other.field.background != field.background, other.errors != model.errors
+    # An irregular lump resembles any form in the reduced model, and hides the one that it is.
+    return adds, same, *changes, STAR in families and STAR not in field.families
 
 
 def _by_kind(proposals: Sequence[Proposal]) -> list[Proposal]:
