@@ -47,9 +47,9 @@ class CuboidShape(InclusionShape):
         return "bar" if second < 0.5 * first else "block"
 
     @property
-    def half_size_mm(self) -> Float[np.ndarray, "3"]:
-        """Half the size along x, y and z."""
-        return np.asarray(np.abs(self.vectors).sum(axis=0))
+    def extents_mm(self) -> Float[np.ndarray, "2 3"]:
+        """Lowest and highest coordinates, from the centre."""
+        return np.outer([-1.0, 1.0], np.abs(self.vectors).sum(axis=0))
 
     @property
     def detail_mm(self) -> float:

@@ -152,14 +152,19 @@ class InclusionShape:
         return np.array(self.semi_axes_mm)[:, None] * np.array(self.axes)
 
     @property
+    def extents_mm(self) -> Float[np.ndarray, "2 3"]:
+        """Lowest and highest coordinates, from the centre."""
+        return np.outer([-1.0, 1.0], np.linalg.norm(self.vectors, axis=0))
+
+    @property
     def half_size_mm(self) -> Float[np.ndarray, "3"]:
         """Largest distance of its points from the centre along x, y and z."""
-        return np.linalg.norm(self.vectors, axis=0)
+        return np.asarray(np.abs(self.extents_mm).max(axis=0))
 
     @property
     def size_mm(self) -> Float[np.ndarray, "3"]:
-        """Size along x, y and z: twice the half of it where the centre is in the middle."""
-        return 2.0 * self.half_size_mm
+        """Size along x, y and z."""
+        return np.asarray(np.ptp(self.extents_mm, axis=0))
 
     def surface(self, segments: int = 48) -> TriangleSurface:
         """Return vertices (mm) and outward triangles; see `tactorch.mesh.Shape.surface`."""

@@ -69,7 +69,10 @@ def _directions(rows: int) -> tuple[Directions, Float[np.ndarray, " n"]]:
 
 
 class _Harmonics:
-    """Harmonics of degree 2 to 4, of mean square one over the sphere, and their gradients."""
+    """Harmonics of degree 2 to 4, of mean square one over the sphere, and their gradients.
+
+    They are polynomials, as functions of angles have no derivative at the poles.
+    """
 
     def __init__(self) -> None:
         rows = [row for group in _HARMONICS.values() for row in group]
@@ -177,17 +180,7 @@ class StarShape(InclusionShape):
         return self.center_mm + _offset(np.log([self.ball_mm]), np.array([self.coefficients]))[0]
 
     @property
-    def half_size_mm(self) -> Float[np.ndarray, "3"]:
-        """Largest distance of its points from the centre along x, y and z."""
-        return np.asarray(np.abs(self._extents).max(axis=0))
-
-    @property
-    def size_mm(self) -> Float[np.ndarray, "3"]:
-        """Size along x, y and z."""
-        return np.asarray(np.ptp(self._extents, axis=0))
-
-    @cached_property
-    def _extents(self) -> Float[np.ndarray, "2 3"]:
+    def extents_mm(self) -> Float[np.ndarray, "2 3"]:
         """Lowest and highest coordinates, from the centre."""
         points = _BEYOND * self._radii(_AT_FINELY)[:, None] * _FINELY
         return np.stack([points.min(axis=0), points.max(axis=0)])
@@ -208,7 +201,7 @@ class StarFamily(Family):
 
     def scale(self, prior: ShapePrior) -> tuple[list[float], list[float]]:
         mean, deviation = super().scale(prior)
-        return mean, [*deviation[: len(COMMON)], *(_DEVIATIONS[k] for k in _DEGREES.tolist())]
+        return mean, [*deviation[: len(COMMON)], *self._deviations.tolist()]
 
     def like(self, cloud: Cloud) -> Values:
         """Return the body whose distances follow from the number of points in each direction."""

@@ -152,17 +152,7 @@ class TubeShape(InclusionShape):
         return float(np.sqrt(self.tube_mm * self.ball_mm))
 
     @property
-    def half_size_mm(self) -> Float[np.ndarray, "3"]:
-        """Largest distance of its points from the centre along x, y and z."""
-        return np.asarray(np.abs(self._extents).max(axis=0))
-
-    @property
-    def size_mm(self) -> Float[np.ndarray, "3"]:
-        """Size along x, y and z."""
-        return np.asarray(np.ptp(self._extents, axis=0))
-
-    @property
-    def _extents(self) -> Float[np.ndarray, "2 3"]:
+    def extents_mm(self) -> Float[np.ndarray, "2 3"]:
         """Lowest and highest coordinates, from the centre."""
         nodes = np.array(self.nodes_mm)
         if len(nodes) == 1:
