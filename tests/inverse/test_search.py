@@ -24,6 +24,7 @@ from tactorch.inverse.fields import (
 from tactorch.inverse.fields.tube import RING
 from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.shapes import Evidence, ShapeFit
+from tactorch.inverse.forward.problem import Evaluation
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.inverse.search import search
@@ -235,6 +236,31 @@ def test_the_best_proposal_is_accepted(
     assert len(kept) == len(fitted)
     assert (found and found[0].what) == accepted
     assert not proposals
+
+
+def test_a_form_is_accepted_without_the_faint_lump_beside_it(model: Mock) -> None:
+    """What a proposal explains must not be lost where one of its inclusions explains nothing."""
+    proposal = _proposal("ring, ball", 9.0, model, families=(RING, BALL))
+    fields: list[tuple[Any, ...]] = []
+
+    def challenge(start: Start, *_: Any) -> Model:
+        fields.append(start.field.families)
+        fit = _evidence(12.0 if start.field.families == (RING,) else 10.0)
+        z = np.ones(start.field.size)
+        if BALL in start.field.families:
+            z[-1] = 0.0  # its log-contrast
+        fit.configure_mock(field=start.field, z=z)
+        return Model(fit, Mock(spec=Evaluation), {})
+
+    problem = Mock(spec=SearchProblem, challenge=challenge, rival_share=0.1)
+    problem.gain = lambda fit, rival: rival.complexity - fit.complexity
+    kept = dict[int, ShapeFit]()
+    found = _accept(problem, model, [proposal], kept)
+    assert found is not None
+    assert fields == [(RING, BALL), (RING,)]
+    assert found[0].what == "ring, ball, inclusion 1 removed"
+    assert found[1].fit.field.families == (RING,)
+    assert kept[id(proposal)] is found[1].fit
 
 
 @pytest.mark.parametrize("scale", [1.0, 13.0])

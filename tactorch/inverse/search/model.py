@@ -265,16 +265,20 @@ def with_step(
     return other, other.standard(np.insert(field.physical(z), end, [place_mm, log_contrast]))
 
 
-def is_negligible(fit: ShapeFit) -> bool:
-    """Return whether an inclusion or a step has hardly any contrast: one material varies as much.
+def faint_inclusions(fit: ShapeFit) -> list[int]:
+    """Return the numbers of inclusions with hardly any contrast: one material varies as much.
 
     Faint structure explains what is left of errors that a model has not quite described.
     """
+    logs = [abs(np.log(shape.contrast)) for shape in fit.field.shapes(fit.z)]
+    return [k for k, log in enumerate(logs) if log < _LEAST_CONTRAST]
+
+
+def is_negligible(fit: ShapeFit) -> bool:
+    """Return whether an inclusion or a step has hardly any contrast."""
     field, values = fit.field, fit.field.physical(fit.z)
     steps = [values[field.background.step_at(k)][1] for k in range(len(field.background.steps))]
-    lumps = [shape.contrast for shape in field.shapes(fit.z)]
-    logs = np.abs([*steps, *np.log(lumps)])
-    return bool((logs < _LEAST_CONTRAST).any())
+    return bool(faint_inclusions(fit) or (np.abs(steps) < _LEAST_CONTRAST).any())
 
 
 def less(model: Model, removed: Sequence[int]) -> Start:

@@ -36,8 +36,10 @@ from tactorch.inverse.search.model import (
     Proposal,
     Start,
     TimeLimit,
+    faint_inclusions,
     improve,
     is_negligible,
+    less,
     make_posterior,
     record,
     unexplained,
@@ -313,8 +315,7 @@ def _accept(
         proposal = untried[0]
         if best is None or (proposal.promise > least and proposal.kind not in kinds):
             kinds.add(proposal.kind)
-            trial = _challenge(problem, proposal, model, best and best[1], fitted)
-            best = best if trial is None else (proposal, trial)
+            best = _challenge(problem, proposal, model, best and best[1], fitted) or best
         del untried[0]
     return best
 
@@ -325,17 +326,23 @@ def _challenge(
     model: Model,
     rival: Model | None,
     fitted: dict[int, ShapeFit],
-) -> Model | None:
+) -> tuple[Proposal, Model] | None:
     """Return a proposal fitted with the full model; None without enough evidence."""
+    first = proposal
     with suppress(ConvergenceError), progress_line(proposal.what):
         missing = -proposal.least_gain if rival is None else 0.0
         trial = problem.challenge(proposal, model, missing, rival)
-        fitted[id(proposal)] = trial.fit
+        if faint := faint_inclusions(trial.fit):
+            # The rest may explain as much, such as another form beside which a lump was tried.
+            rest = less(trial, faint)
+            proposal = replace(proposal, what=f"{proposal.what}, {rest.what}")
+            trial = problem.challenge(rest, model, missing, rival)
+        fitted[id(first)] = trial.fit
         change = problem.gain(trial.fit, model.fit)
         _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)
         is_better = rival is None or problem.gain(trial.fit, rival.fit) > 0.0
         if change > proposal.least_gain and is_better and not is_negligible(trial.fit):
-            return trial
+            return proposal, trial
     return None
 
 
@@ -362,10 +369,11 @@ def _alternatives(
     scale, size = problem.min_gain / MIN_GAIN, model.fit.field.size
     best: dict[object, tuple[float, float, Proposal]] = {}
     for proposal in rejected:
-        gain, form = proposal.gain, _form(proposal.field)
+        gain = proposal.gain
         if (known := fitted.get(id(proposal))) is not None:  # a fit that may have ended early
             gain = max(gain, problem.gain(known, model.fit))
-            proposal = replace(proposal, z=known.z)
+            proposal = replace(proposal, field=known.field, z=known.z)
+        form = _form(proposal.field)
         handicap = proposal.least_gain / scale - MIN_GAIN * (proposal.field.size <= size)
         weight = gain / scale - handicap
         if form == _form(model.fit.field) or is_negligible(proposal.trial):
