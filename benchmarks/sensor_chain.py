@@ -21,8 +21,9 @@ import csv
 import json
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -65,6 +66,7 @@ SIDES = {
     "y+": np.array([(0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]),
 }
 MIDDLE = np.full(3, SIDE / 2)
+WAYS = {"map": "with the object", "by_forces": "of the gel"}
 #: Pose of a sensor whose z axis points down: x along y, y along x.
 DOWN = np.array([(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)])
 
@@ -131,7 +133,11 @@ def run(session: Session, place: Path, rim_mm: float) -> dict[str, Any]:
         for name, turn in SIDES.items()
         for depth, contact in zip(session.depths_mm, contacts[name], strict=True)
     ]  # fmt: skip
-    return {"calibration": quality, "presses": rows, "map": inverted(place, session)}
+    by_forces = inverted(place, session, gels=False)
+    return {
+        "calibration": quality, "presses": rows, "map": inverted(place, session),
+        "by_forces": by_forces,
+    }  # fmt: skip
 
 
 def simulated(session: Session, turn: np.ndarray, rim_mm: float) -> list[Contact]:
@@ -343,10 +349,20 @@ def _between(points: np.ndarray, values: np.ndarray, places: np.ndarray) -> np.n
     return LinearNDInterpolator(points[:, :2], values)(places * (1.0 - 1e-9))
 
 
-def inverted(place: Path, session: Session) -> dict[str, Any]:
-    """Invert, and compare the inclusion that was found with the ball."""
+def inverted(place: Path, session: Session, *, gels: bool = True) -> dict[str, Any]:
+    """Invert, and compare the inclusion that was found with the ball.
+
+    Without the gels, forces are those that the deformation of the gel alone gives.
+    """
     recording, folder = place / "recording.h5", place / "invert"
+    if not gels:
+        whole, folder = Recording.load(recording), place / "invert_forces"
+        recording = place / "recording_forces.h5"
+        presses = tuple(replace(press, gel=None) for press in whole.presses)
+        replace(whole, presses=presses).save(recording)
+    began = time.perf_counter()
     tactorch("invert", f"recording={recording}", "method=inclusions", f"run_dir={folder}")
+    seconds = time.perf_counter() - began
     shapes = Reconstruction.load(folder / "reconstruction.h5").shapes
     assert shapes is not None
     ball = session.ball
@@ -354,7 +370,7 @@ def inverted(place: Path, session: Session) -> dict[str, Any]:
         "inclusions": len(shapes.inclusions), "chi2": shapes.chi2,
         "around_mpa": shapes.background_mpa, "true_around_mpa": session.youngs_mpa,
         "true_mpa": ball.youngs_mpa, "force_deviation": shapes.force_deviation,
-        "pose_deviation": shapes.pose_deviation,
+        "pose_deviation": shapes.pose_deviation, "seconds": seconds,
     }  # fmt: skip
     if not shapes.inclusions:
         return figures
@@ -365,13 +381,31 @@ def inverted(place: Path, session: Session) -> dict[str, Any]:
         **figures, "off_mm": float(np.linalg.norm(off)), "off_axes_mm": off.tolist(),
         "youngs_mpa": found.youngs_mpa, "youngs_90_mpa": [low, high],
         "within": bool(low <= ball.youngs_mpa <= high),
-        "radius_90_mm": list(found.radius_90_mm), "true_radius_mm": ball.radius_mm,
+        "radius_mm": found.shape.radius_mm, "radius_90_mm": list(found.radius_90_mm), "true_radius_mm": ball.radius_mm,
         "probability": found.probability,
     }  # fmt: skip
 
 
 def _off(found: ShapeInclusion, ball: Ball) -> float:
     return float(np.linalg.norm(np.array(found.shape.center_mm) - ball.center_mm))
+
+
+def _found(name: str, forces: str, m: dict[str, Any]) -> str:
+    """Return the row of a lump."""
+    place = [""] * 5
+    if "off_mm" in m:
+        low, high = m["youngs_90_mpa"]
+        place = [
+            f"{m['off_mm']:.2f} mm", ", ".join(f"{v:+.2f}" for v in m["off_axes_mm"]),
+            f"{m['radius_mm']:.2f} of {m['true_radius_mm']:g}",
+            f"{m['youngs_mpa']:.3f} of {m['true_mpa']:g}", f"{low:.3f} to {high:.3f}",
+        ]  # fmt: skip
+    cells = [
+        name, forces, str(m["inclusions"]), *place,
+        f"{m['around_mpa']:.3f} of {m['true_around_mpa']:g}", f"{m['chi2']:.2f}",
+        f"{m['seconds']:.0f}",
+    ]  # fmt: skip
+    return f"| {' | '.join(cells)} |"
 
 
 def format_tables(results: dict[str, Any]) -> list[str]:
@@ -392,23 +426,11 @@ def format_tables(results: dict[str, Any]) -> list[str]:
             )
     lines += [
         "",
-        "| session | lumps | off by | x, y, z | ball, MPa | 90 % | around, MPa | chi2 |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+        "| session | forces | lumps | off by | x, y, z | radius | ball, MPa | 90 % | around, MPa | chi2 | s |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
     for name, result in results.items():
-        m = result["map"]
-        place = ["", "", "", ""]
-        if "off_mm" in m:
-            low, high = m["youngs_90_mpa"]
-            place = [
-                f"{m['off_mm']:.2f} mm", ", ".join(f"{v:+.2f}" for v in m["off_axes_mm"]),
-                f"{m['youngs_mpa']:.3f} of {m['true_mpa']:g}", f"{low:.3f} to {high:.3f}",
-            ]  # fmt: skip
-        cells = [
-            name, str(m["inclusions"]), *place,
-            f"{m['around_mpa']:.3f} of {m['true_around_mpa']:g}", f"{m['chi2']:.2f}",
-        ]  # fmt: skip
-        lines.append(f"| {' | '.join(cells)} |")
+        lines += [_found(name, words, result[way]) for way, words in WAYS.items()]
     return lines
 
 

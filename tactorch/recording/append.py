@@ -24,10 +24,14 @@ from tactorch.recording.recording import Recording
 from tactorch.recording.schema import (
     ERRORS_VERSION,
     PRESS_ARRAYS,
-    STACKED_VERSION,
     written_version,
 )
-from tactorch.recording.storage import RecordingReader, open_recording, write_press
+from tactorch.recording.storage import (
+    RecordingReader,
+    least_version,
+    open_recording,
+    write_press,
+)
 from tactorch.recording.tail import tail_record
 
 if TYPE_CHECKING:
@@ -66,13 +70,13 @@ def append_press(path: str | Path, press: Press) -> int:
         count, tail = reader.count(), reader.tail
         Recording(**reader.fields(presses=(press,)), check_units=False)
         image = hdf5_image(lambda file: write_press(file, press))
-        record, errors = tail_record(count, image), press.errors is not None
+        record, least = tail_record(count, image), least_version(press)
         if (
             tail is None
-            or (errors and reader.version < ERRORS_VERSION)
+            or least > reader.version
             or tail.end - tail.begin + len(record) > max(tail.begin, _MAX_SMALL_TAIL_BYTES)
         ):
-            write_file(path, _whole_image(reader, [image], errors=errors, growing=True))
+            write_file(path, _whole_image(reader, [image], least=least, growing=True))
             return count
     _write_at(Path(path), tail.end, record)
     return count
@@ -171,7 +175,7 @@ def _whole_image(
     reader: RecordingReader,
     added: Sequence[bytes] = (),
     *,
-    errors: bool = False,
+    least: int = 0,
     growing: bool = False,
 ) -> bytes:
     """Return the content of a file with the presses of the tail, and of other images, in HDF5."""
@@ -184,8 +188,8 @@ def _whole_image(
     # Without checksums in the file's structure its end is not known, and there is no tail.
     version = written_version(
         regions=reader.has("mesh/regions"),
-        errors=errors or reader.version >= ERRORS_VERSION,
-        stacked=reader.version >= STACKED_VERSION,
+        # Versions differ by one where presses are appended.
+        least=max(least, reader.version // 2 * 2 if reader.version >= ERRORS_VERSION else 0),
         growing=growing and stored[8] in (2, 3),
     )
 

@@ -11,7 +11,13 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import RecordingError
 from tactorch.recording.arrays import make_array, require_finite
-from tactorch.recording.readings import ForceReading, PressErrors, ProbePose, SurfaceReading
+from tactorch.recording.readings import (
+    ForceReading,
+    GelReading,
+    PressErrors,
+    ProbePose,
+    SurfaceReading,
+)
 from tactorch.recording.schema import PRESS_ARRAYS
 
 # Default of arrays whose size is the number of nodes; replaced by zeros on construction, so that
@@ -50,6 +56,7 @@ class Press:
         force: Measured force on the probe or on the support that is moved, or None.
         surface: Measured displacements along directions at points of the surface, or None.
         errors: Correlated errors of `forces` and `displacement`, besides the noise, or None.
+        gel: Gel of a sensor from whose markers `forces` and `displacement` are computed, or None.
 
     Raises:
         RecordingError: A field is inconsistent with the others; the message names press and field.
@@ -70,6 +77,7 @@ class Press:
     force: ForceReading | None = None
     surface: SurfaceReading | None = None
     errors: PressErrors | None = None
+    gel: GelReading | None = None
 
     def __post_init__(self) -> None:
         self._convert("forces", (None, 3))
@@ -153,7 +161,7 @@ class Press:
         """Return bytes that distinguish probes and readings; none without."""
         return self.geometry_bytes() + b"".join(
             array.tobytes()
-            for reading in (self.force, self.surface, self.errors)
+            for reading in (self.force, self.surface, self.errors, self.gel)
             if reading is not None
             for array in vars(reading).values()
         )

@@ -1,4 +1,4 @@
-"""Rigid probes, data that are not displacements of nodes, and correlated errors of a press."""
+"""Probes, gels of sensors, data that are not of nodes, and correlated errors of a press."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -199,6 +199,53 @@ class PressErrors:
         """Covariance of the sum of the nodal forces, (3, 3), N^2."""
         totals = self.forces.sum(axis=1)
         return totals.T @ totals
+
+
+@dataclass(frozen=True, eq=False)
+class GelReading:
+    """A gel that is pressed on the object, and what its markers show.
+
+    Vectors and positions are in the frame of the sensor, whose origin is the centre of the gel's
+    face at rest and whose z axis points to the object.
+
+    Attributes:
+        layer: Thickness (mm), Young's modulus (MPa), Poisson's ratio, width and height of a
+            rectangular outline, radius of a round one, and radius of curvature of the face (mm);
+            NaN for those it does not have. See `tactorch.sensor.description.GelLayer.of_numbers`.
+        pose: T_object_sensor in this press, (4, 4), mm.
+        first_pose: T_object_sensor at first contact, from which points of gel and object that
+            touch do not slip, (4, 4), mm.
+        markers_mm: Rest positions of the markers, (k, 2), mm.
+        displacement_mm: Their displacements along x and y, (k, 2), mm.
+        deviations_mm: Standard deviations of these, (k,), mm.
+        uncertain: Standard deviations of errors that presses have in common: of the logarithm of
+            the gel's modulus, and of position (mm) and turn (rad) of the pose of a contact.
+
+    Raises:
+        RecordingError: Shapes differ, a value is not finite, or a deviation is negative.
+    """
+
+    layer: Float[np.ndarray, "7"]
+    pose: Float[np.ndarray, "4 4"]
+    first_pose: Float[np.ndarray, "4 4"]
+    markers_mm: Float[np.ndarray, "k 2"]
+    displacement_mm: Float[np.ndarray, "k 2"]
+    deviations_mm: Float[np.ndarray, " k"]
+    uncertain: Float[np.ndarray, "3"]
+
+    def __post_init__(self) -> None:
+        count = len(np.atleast_1d(self.markers_mm))
+        shapes = {"markers_mm": (count, 2), "displacement_mm": (count, 2)}
+        shapes |= {"pose": (4, 4), "first_pose": (4, 4)}
+        _set(self, "gel", **shapes, deviations_mm=(count,), uncertain=(3,))
+        _require_deviations(self.deviations_mm, "gel")
+        object.__setattr__(self, "layer", make_array(self.layer, (7,), "gel: layer"))
+        require_finite(self.layer[:3], "gel: thickness, Young's modulus and Poisson's ratio")
+        if (self.uncertain < 0.0).any():
+            raise RecordingError(
+                f"gel: uncertain has {self.uncertain.min():g}; give standard deviations of at "
+                "least 0"
+            )
 
 
 def _set(reading: object, what: str, **shapes: tuple[int, ...]) -> None:

@@ -1,6 +1,6 @@
 """Layout of the file of a recording: HDF5.
 
-Versions 2 to 13 (n nodes, m elements; arrays row by row, gzip with checksums; text is UTF-8 of
+Versions 2 to 15 (n nodes, m elements; arrays row by row, gzip with checksums; text is UTF-8 of
 fixed length; the structure is that of HDF5 1.10, with checksums):
 
 | path | type | unit |
@@ -41,10 +41,15 @@ fixed length; the structure is that of HDF5 1.10, with checksums):
 | /presses/0000/errors/nodes | int64 (l,), may be absent | |
 | /presses/0000/errors/forces | float64 (q, l, 3) | N |
 | /presses/0000/errors/displacement | float64 (q, l, 3) | mm |
+| /presses/0000/gel/layer | float64 (7,), see `GelReading`; may be absent | mm, MPa |
+| /presses/0000/gel/pose, first_pose | float64 (4, 4) | mm |
+| /presses/0000/gel/markers_mm, displacement_mm | float64 (k, 2) | mm |
+| /presses/0000/gel/deviations_mm | float64 (k,) | mm |
+| /presses/0000/gel/uncertain | float64 (3,) | , mm, rad |
 
 With a probe, nodal fields that are zero, or NaN, throughout are absent.
 
-In versions 12 and 13, k consecutive presses by one probe that have the same nodal fields may share
+From version 12 on, k consecutive presses by one probe that have the same nodal fields may share
 a group, with the number of the first of them as its name. The nodal fields are stored once, and the
 other arrays have a further first axis of length k. In place of attributes there are
 
@@ -57,12 +62,12 @@ other arrays have a further first axis of length k. In place of attributes there
 
 Links, external storage and virtual datasets are refused: they lead to other files.
 
-In versions 7, 9, 11 and 13 presses follow the end of the HDF5 part, as its superblock states it.
-HDF5 ignores them, and drops them when it opens the file for writing. Each is a record of 60 bytes
-(the text `TACPRESS`; number of the press, uint64; length of the image, uint64; SHA-256 of the
+In versions 7, 9, 11, 13 and 15 presses follow the end of the HDF5 part, as its superblock states
+it. HDF5 ignores them, and drops them when it opens the file for writing. Each is a record of 60
+bytes (the text `TACPRESS`; number of the press, uint64; length of the image, uint64; SHA-256 of the
 image; CRC-32 of the 56 bytes before; little-endian) and an image: an HDF5 file whose root is a
 group as /presses/0000. An incomplete last record is ignored. `tactorch.recording.compact` makes
-version 6, 8, 10 or 12 of such a file.
+version 6, 8, 10, 12 or 14 of such a file.
 
 A reader refuses a version above its own. A change of the layout raises `VERSION`;
 `tactorch.recording.storage` reads all versions. Version 1 had no `unloaded`; versions 2 and 3 were
@@ -70,14 +75,16 @@ A reader refuses a version above its own. A change of the layout raises `VERSION
 and probes had no `deviation_mm`; versions 6 and 7 have no `regions`, and are written for meshes
 without regions, so that tactorch before version 8 reads them; versions 8 and 9 have no `errors`,
 and are written where no press has them; before version 12 each press had a separate group, as it
-has where the nodal fields differ.
+has where the nodal fields differ; versions 12 and 13 have no `gel`, and are written where no press
+has one.
 """
 
 FORMAT = "tactorch-recording"
-VERSION = 13
-GROWING_VERSIONS = (3, 5, 7, 9, 11, 13)
+VERSION = 15
+GROWING_VERSIONS = (3, 5, 7, 9, 11, 13, 15)
 ERRORS_VERSION = 10  # the first with `errors`
 STACKED_VERSION = 12  # the first with several presses in a group
+GEL_VERSION = 14  # the first with `gel`
 UNITS = "mm, N, MPa, tonne/mm^3"
 #: Nodal fields with the value they have throughout where a press by a probe does not store them.
 PRESS_ARRAYS: dict[str, float | bool] = {
@@ -105,12 +112,19 @@ PRESS_VALUES: dict[str, tuple[int | None, ...]] = {
     "errors/nodes": (None,),
     "errors/forces": (None, None, 3),
     "errors/displacement": (None, None, 3),
+    "gel/layer": (7,),
+    "gel/pose": (4, 4),
+    "gel/first_pose": (4, 4),
+    "gel/markers_mm": (None, 2),
+    "gel/displacement_mm": (None, 2),
+    "gel/deviations_mm": (None,),
+    "gel/uncertain": (3,),
 }
 
 
-def written_version(
-    *, regions: bool, errors: bool = False, stacked: bool = False, growing: bool = False
-) -> int:
-    """Return the version of a file: the lowest one whose readers know its content."""
-    known = ERRORS_VERSION if errors else 6 + 2 * regions
-    return (STACKED_VERSION if stacked else known) + growing
+def written_version(*, regions: bool, least: int = 0, growing: bool = False) -> int:
+    """Return the version of a file: the lowest one whose readers know its content.
+
+    `least` is the lowest one that knows the content of its presses.
+    """
+    return max(6 + 2 * regions, least) + growing

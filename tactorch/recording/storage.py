@@ -21,13 +21,21 @@ from tactorch.mesh.geometry import frozen
 from tactorch.recording import schema
 from tactorch.recording.material import MaterialSpec
 from tactorch.recording.press import Press, constant_field
-from tactorch.recording.readings import ForceReading, PressErrors, ProbePose, SurfaceReading
+from tactorch.recording.readings import (
+    ForceReading,
+    GelReading,
+    PressErrors,
+    ProbePose,
+    SurfaceReading,
+)
 from tactorch.recording.tail import PressTail
 
 if TYPE_CHECKING:
     import h5py
 
-_READINGS = {"force": ForceReading, "surface": SurfaceReading, "errors": PressErrors}
+_READINGS = {
+    "force": ForceReading, "surface": SurfaceReading, "errors": PressErrors, "gel": GelReading,
+}  # fmt: skip
 _WRITER = "Recording.save"
 _LAYOUT = f"{_WRITER} (layout: tactorch.recording.schema)"
 
@@ -283,11 +291,11 @@ def open_recording(path: str | Path) -> Iterator[RecordingReader]:
 
 def write_recording(group: "h5py.Group", fields: Mapping[str, Any]) -> None:
     """Write the fields of a `Recording` into a file or group."""
-    errors = any(press.errors is not None for press in fields["presses"])
     regions, groups = fields["mesh"].regions, _groups(fields["presses"])
-    version = schema.written_version(
-        regions=regions is not None, errors=errors, stacked=len(groups) < len(fields["presses"])
-    )
+    least = max(map(least_version, fields["presses"]), default=0)
+    if len(groups) < len(fields["presses"]):
+        least = max(least, schema.STACKED_VERSION)
+    version = schema.written_version(regions=regions is not None, least=least)
     write_attributes(group, format=schema.FORMAT, version=version, units=schema.UNITS)
     if fields["density"] is not None:
         write_attributes(group, density=fields["density"])
@@ -324,6 +332,13 @@ def _groups(presses: Sequence[Press]) -> list[list[Press]]:
         return repr(press.probe.probe), arrays, [a.tobytes() for a in _nodal(press).values()]
 
     return [[press for _, press in same] for _, same in groupby(enumerate(presses), layout)]
+
+
+def least_version(press: Press) -> int:
+    """Return the lowest version of a file whose readers know the content of a press."""
+    if press.gel is not None:
+        return schema.GEL_VERSION
+    return 0 if press.errors is None else schema.ERRORS_VERSION
 
 
 def write_press(group: "h5py.Group", press: Press) -> None:

@@ -70,6 +70,24 @@ class GelLayer(Options):
             )
 
     @property
+    def numbers(self) -> Float[np.ndarray, "7"]:
+        """Thickness, modulus, Poisson's ratio, width, height, radius, curvature; NaN for none."""
+        values = self.thickness_mm, self.youngs_mpa, self.poisson, *(self.size_mm or (None, None))
+        return np.array([*values, self.radius_mm, self.curvature_radius_mm], dtype=np.float64)
+
+    @staticmethod
+    def of_numbers(numbers: Float[np.ndarray, "7"], material: str) -> "GelLayer":
+        """Return the layer of `numbers` and a constitutive law.
+
+        Raises:
+            ConfigError: A value is not valid.
+        """
+        values = [None if np.isnan(value) else float(value) for value in numbers]
+        size = None if values[3] is None or values[4] is None else (values[3], values[4])
+        thickness, youngs, poisson = (float(value) for value in numbers[:3])
+        return GelLayer(thickness, youngs, poisson, size, values[5], values[6], material)
+
+    @property
     def half_size_mm(self) -> tuple[float, float]:
         """Half width and half height of the outline's bounding box."""
         if self.size_mm is not None:

@@ -65,14 +65,15 @@ class Facing:
         gaps = self.gaps_mm - self.gaps_mm.min()
         near = gaps <= reach_mm
         coupled = CoupledDiscretisation(self.mesh, ELEMENTS[ELEMENT], self.nodes[near])
-        return Pairs(coupled, self.values[near], gaps[near], self.areas_mm2[near]), near
+        arrays = self.values[near], gaps[near], self.areas_mm2[near], self.points[near]
+        return Pairs(coupled, *arrays), near
 
 
-def face_each_other(body: TetMesh, shape: Shape, gel: GelMesh, pose: Pose) -> Facing | None:
+def face_each_other(body: TetMesh, shape: Shape | None, gel: GelMesh, pose: Pose) -> Facing | None:
     """Pair the points of a gel with those of a body opposite to them; None where there are none.
 
     Distances are those of the shape itself, whose surface the mesh of the body follows within its
-    elements.
+    elements, or of the mesh where there is no shape.
     """
     moved = transform_points(np.linalg.inv(pose), body.points)
     face, shift = gel.mesh.surface, body.n_points
@@ -85,7 +86,7 @@ def face_each_other(body: TetMesh, shape: Shape, gel: GelMesh, pose: Pose) -> Fa
     # Elements have straight sides; the gaps are those of the face itself.
     points[:, 2] = gel.layer.height_mm(points[:, :2])
     hits = first_hits(moved, body.surface.triangles, points[:, :2])
-    heights = shape_heights(shape, pose, points[:, :2])
+    heights = hits.z_mm if shape is None else shape_heights(shape, pose, points[:, :2])
     rows = np.flatnonzero((hits.triangles >= 0) & np.isfinite(heights))
     if not len(rows):
         return None

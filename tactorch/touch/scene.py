@@ -11,31 +11,24 @@ gel's elements.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.config import to_mapping
-from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.fem import ELEMENTS, NewtonOptions, Supports, make_material
-from tactorch.fem.assembly import Assembly
-from tactorch.fem.contact.contact import RELATIVE_STIFFNESS
-from tactorch.fem.contact.pair import PairContact
-from tactorch.fem.newton import EquilibriumResult, Newton
-from tactorch.linalg import SolverPool
+from tactorch.errors import ConfigError
+from tactorch.fem import ELEMENTS, Supports, make_material
 from tactorch.mesh import TetMesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import MaterialSpec
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.gel import GelMesh
 from tactorch.sensor.poses import Pose, rotate_vectors
+from tactorch.touch.coupled import Coupled, CoupledState
 from tactorch.touch.options import TouchOptions
 from tactorch.touch.pairing import ELEMENT, Facing, face_each_other
-
-_REACH = 2.0  # distance of pairs that may touch, over the depth
-_FIRST_RTOL, _RTOL = 1e-3, 1e-7  # of the forces without friction, and at the end
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,12 +122,18 @@ class TouchScene:
             raise ConfigError("the gel is over no part of the body; check the pose of the sensor.")
         first_pose = pose.copy()
         first_pose[:3, 3] += facing.first_touch[1] * pose[:3, 2]
-        coupled = _Coupled(self, facing, max(float(motion[2]) for motion in motions_mm))
-        presses, u = [], None
+        fixed = np.repeat(self.held[:, None], 3, axis=1)
+        coupled = Coupled(
+            facing, self.mesh, self.gel, self.material, Supports(fixed=fixed),
+            body_mpa=float(np.median(self.youngs)),
+            depth_mm=max(float(motion[2]) for motion in motions_mm),
+            sticks=self.options.friction == "stick",
+        )  # fmt: skip
+        presses, u, youngs = [], None, coupled.youngs(self.youngs)
         for motion in motions_mm:
-            contact, result = coupled.solve(np.asarray(motion, dtype=float), u)
-            u = result.displacement
-            presses.append(coupled.press(contact, result, first_pose))
+            state = coupled.solve(youngs, np.asarray(motion, dtype=float), u)
+            u = state.displacement
+            presses.append(_press(coupled, state, first_pose))
         return presses
 
 
@@ -159,84 +158,22 @@ def held_nodes(mesh: TetMesh, side: str, fraction: float) -> Bool[np.ndarray, " 
     return np.asarray(away <= fraction * (high - low) + 1e-9 * mesh.diagonal)
 
 
-class _Coupled:
-    """Both bodies at a place, prepared for several motions."""
-
-    def __init__(self, scene: TouchScene, facing: Facing, depth_mm: float) -> None:
-        body, gel, layer = scene.mesh, scene.gel.mesh, scene.sensor.gel
-        pairs, near = facing.pairs(_REACH * depth_mm)
-        self.friction, self.parts = scene.options.friction, pairs.discretisation
-        softest = min(float(layer.youngs_mpa), float(np.median(scene.youngs)))
-        stiffness = RELATIVE_STIFFNESS * softest / float(np.sqrt(np.median(gel.surface.areas)))
-        none = np.zeros(int(near.sum()), dtype=bool)
-        self.contact = PairContact(pairs, np.zeros(3), stiffness, none)
-        poisson = np.repeat(
-            [scene.material.poisson, float(layer.poisson)], [body.n_tets, gel.n_tets]
-        )
-        law = make_material(layer.material, layer.poisson)
-        self.assembly = Assembly(self.parts, law, poisson, self.parts.mesh.points)
-        self.pool = SolverPool(self.parts.pattern)
-        stiff = np.full((gel.n_tets, scene.youngs.shape[1]), float(layer.youngs_mpa))
-        self.youngs = np.concatenate([scene.youngs, stiff])
-        fixed = np.repeat(np.concatenate([scene.held, scene.gel.on_window])[:, None], 3, axis=1)
-        self.supports = Supports(fixed=fixed).case(0, self.parts)
-        vertices = np.arange(self.parts.mesh.n_points) >= body.n_points
-        on_gel = np.concatenate([vertices, vertices[self.parts.edges[:, 0]]])
-        # Nodes of the body, in the order of those of a discretisation of the body alone.
-        self.body_rows = np.flatnonzero(~on_gel)
-        # Nodes of the gel's face, midside nodes last.
-        face = scene.gel.face[scene.gel.face_triangles] + body.n_points
-        self.gel_rows = np.unique(self.parts.surface_nodes(face))
-        # Points of the body of each pair at rest, mm.
-        corners = body.points[body.surface.triangles[facing.faces[near]]]
-        self.body_points = np.einsum("pc,pcd->pd", facing.barycentric[near], corners)
-
-    def solve(
-        self, motion_mm: Float[np.ndarray, "3"], start: Float[np.ndarray, "nodes 3"] | None
-    ) -> tuple[PairContact, EquilibriumResult]:
-        """Return the contact and the equilibrium of a motion.
-
-        Raises:
-            ConvergenceError: There is none.
-        """
-        contact = replace(self.contact, motion_mm=motion_mm)
-        sticks = self.friction == "stick"
-        search = self._search(contact, _FIRST_RTOL if sticks else _RTOL)
-        result = search.run(start)
-        if sticks and result.converged:
-            sticking = contact.offsets(result.displacement)[:, 2] < 0.0
-            contact = replace(contact, sticking=sticking)
-            result = self._search(contact, _RTOL, search).run(result.displacement)
-        if not result.converged:
-            raise ConvergenceError(
-                f"no equilibrium of gel and body at {motion_mm[2]:.3g} mm from first touch:"
-                f" {result.reason} Give a smaller depth_mm, or a larger gel_edge_mm."
-            )
-        return contact, result
-
-    def press(self, contact: PairContact, result: EquilibriumResult, first_pose: Pose) -> GelPress:
-        """Return the press of an equilibrium."""
-        u, rows = result.displacement, self.gel_rows
-        pose = first_pose.copy()
-        pose[:3, 3] += rotate_vectors(first_pose, contact.motion_mm)
-        at_pairs = contact.pair_forces(u)
-        loaded = at_pairs.any(axis=1)
-        support = self._search(contact, _RTOL).support_forces(result)
-        return GelPress(
-            pose,
-            first_pose,
-            self.parts.positions[rows],
-            u[rows],
-            -contact.at(u).forces[rows],
-            self.body_points[loaded],
-            rotate_vectors(pose, at_pairs[loaded]),
-            rotate_vectors(pose, u[self.body_rows]),
-            rotate_vectors(pose, support[self.body_rows].sum(axis=0)),
-        )
-
-    def _search(self, contact: PairContact, rtol: float, after: Newton | None = None) -> Newton:
-        options, nothing = NewtonOptions(rtol=rtol), np.zeros((self.parts.n_nodes, 3))
-        return Newton(
-            self.assembly, self.pool, self.youngs, nothing, self.supports, options, after,
-            contact=contact,
-        )  # fmt: skip
+def _press(coupled: Coupled, state: CoupledState, first_pose: Pose) -> GelPress:
+    """Return the press of an equilibrium."""
+    u, contact, rows = state.displacement, state.contact, coupled.face_rows
+    pose = first_pose.copy()
+    pose[:3, 3] += rotate_vectors(first_pose, contact.motion_mm)
+    at_pairs = contact.pair_forces(u)
+    loaded = at_pairs.any(axis=1)
+    support = state.newton.support_forces(state.result)[coupled.body_rows]
+    return GelPress(
+        pose,
+        first_pose,
+        coupled.parts.positions[rows],
+        u[rows],
+        -contact.at(u).forces[rows],
+        coupled.body_points[loaded],
+        rotate_vectors(pose, at_pairs[loaded]),
+        rotate_vectors(pose, u[coupled.body_rows]),
+        rotate_vectors(pose, support.sum(axis=0)),
+    )

@@ -23,7 +23,9 @@ def contact(rng: np.random.Generator) -> PairContact:
     shares = rng.dirichlet(np.ones(3), (6, 2))
     parts = CoupledDiscretisation(mesh, TET4, nodes)
     values = np.hstack([shares[:, 0], -shares[:, 1]])
-    pairs = Pairs(parts, values, rng.uniform(0.0, 0.1, 6), rng.uniform(0.5, 1.0, 6))
+    pairs = Pairs(
+        parts, values, rng.uniform(0.0, 0.1, 6), rng.uniform(0.5, 1.0, 6), np.zeros((6, 3))
+    )
     sticking = np.array([True, True, True, False, False, False])
     return PairContact(pairs, np.array([0.03, -0.02, 0.06]), 5.0, sticking)
 

@@ -133,6 +133,9 @@ def test_presses_are_those_that_were_made(pairs: dict[float, Pair], poses: Poses
         np.testing.assert_allclose(press.displacement[seen], pair.u_cube[seen], atol=1e-6)
         np.testing.assert_array_equal(press.fixed, np.repeat(pair.bottom[:, :1], 3, axis=1))
         assert press.noise_mm == pytest.approx(0.01)  # what the chain allows for
+        assert press.gel is not None
+        np.testing.assert_allclose(press.gel.first_pose, FIRST, atol=1e-6)
+        np.testing.assert_allclose(press.gel.pose, sensor_pose(10.0 - depth), atol=1e-6)
     assert told[-1] == ("presses", 4, 4)
     assert ("frames", 11, None) in told
     notes = recording.provenance
@@ -141,6 +144,35 @@ def test_presses_are_those_that_were_made(pairs: dict[float, Pair], poses: Poses
     assert [row["frame"] for row in notes["presses"]] == [p.name[-7:] for p in presses]
     assert notes["presses"][1]["depth_mm"] == pytest.approx(0.4)
     assert notes["presses"][1]["force_n"] == pytest.approx(pairs[0.4].on_cube.sum(axis=0), abs=1e-6)
+
+
+def test_markers_are_recorded_where_the_gel_sticks_to_a_known_object(
+    pairs: dict[float, Pair], poses: Poses
+) -> None:
+    chain, cube = Chain(pairs), pairs[0.2].cube
+    measure = chain.measure_deformation
+
+    def moved(frame: Frame) -> Measurement:
+        """The first marker moves by half a pixel, and the second one is not seen."""
+        found = measure(frame)
+        shown = np.add(chain.tracker.reference_px, [(0.5, 0.0), (np.nan, np.nan)])
+        return replace(found, markers_px=shown) if found.depth_mm > 0 else found
+
+    chain.measure_deformation = moved  # type: ignore[method-assign]
+    options = RecordOptions(steps=1, gel_deviation=0.1, pose_mm=0.2, pose_deg=0.5)
+    press, *_ = record(frames(), chain, poses, cube, SPEC, options)[0].presses
+    assert press.gel is not None
+    np.testing.assert_allclose(press.gel.markers_mm, chain.sensor.to_mm(np.array([(1.0, 1.0)])))
+    np.testing.assert_allclose(press.gel.displacement_mm, [(0.5, 0.0)], atol=1e-12)
+    # Noise, which no frame without contact shows here, and 1 % of the displacement.
+    noise = chain.options.marker_noise_mm
+    assert press.gel.deviations_mm == pytest.approx(np.hypot(noise, 0.005))
+    assert press.gel.uncertain == pytest.approx([0.1, 0.2, np.deg2rad(0.5)])
+    assert GelLayer.of_numbers(press.gel.layer, GEL.material) == GEL
+    for target, changes in ((cube, {"friction": 0.5}), (VirtualCube(8.0, 4.0, 1.0), {})):
+        other = replace(options, **changes)
+        press, *_ = record(frames(), chain, poses, target, SPEC, other)[0].presses
+        assert press.gel is None
 
 
 def test_contacts_come_as_they_end_and_are_those_of_the_whole_session(

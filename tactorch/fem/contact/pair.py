@@ -43,6 +43,7 @@ class Pairs:
     values: Float[np.ndarray, "p k"]
     gaps_mm: Float[np.ndarray, " p"]  # z of the first part above that of the second at rest
     areas_mm2: Float[np.ndarray, " p"]  # that each pair stands for
+    points: Float[np.ndarray, "p 3"]  # of the second part at rest, mm
 
     @cached_property
     def entries(self) -> tuple[Int[np.ndarray, "3 p e"], Float[np.ndarray, "p e"]]:
@@ -52,6 +53,13 @@ class Pairs:
         pattern = self.discretisation.pattern
         slots = np.stack([pattern.slots(3 * first + i, 3 * second + i) for i in range(3)])
         return slots, self.values[:, a] * self.values[:, b]
+
+    def spread(self, at_pairs: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "nodes 3"]:
+        """Return nodal forces from forces at pairs, on the first part and against the second."""
+        forces = np.zeros((self.discretisation.n_nodes, 3))
+        spread = self.values[:, :, None] * at_pairs[:, None, :]
+        np.add.at(forces, self.discretisation.coupled, spread)
+        return forces
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +93,11 @@ class PairContact:
 
     def pair_forces(self, u: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "p 3"]:
         """Return the force of the second part on the first at each pair, N."""
-        offsets = self.offsets(u)
-        return -self._springs(offsets[:, 2] < 0.0) * offsets
+        return -self.springs(u) * self.offsets(u)
+
+    def springs(self, u: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "p 3"]:
+        """Return the stiffness of each pair along each axis at displacements (mm), N/mm."""
+        return self._springs(self.offsets(u)[:, 2] < 0.0)
 
     def energy(self, u: Float[np.ndarray, "nodes 3"]) -> float:
         """Return the energy at displacements (mm), N mm."""
@@ -102,11 +113,9 @@ class PairContact:
         touching = offsets[:, 2] < 0.0
         springs = self._springs(touching)
         energy, at_pairs = 0.5 * float((springs * offsets**2).sum()), springs * offsets
-        forces = np.zeros_like(u)
-        spread = self.pairs.values[:, :, None] * at_pairs[:, None, :]
-        np.add.at(forces, self.pairs.discretisation.coupled, spread)
         none = np.zeros((int(touching.sum()), 0, 0))
-        return ContactResponse(energy, forces, np.flatnonzero(touching), none, at_pairs.sum(axis=0))
+        forces, total = self.pairs.spread(at_pairs), at_pairs.sum(axis=0)
+        return ContactResponse(energy, forces, np.flatnonzero(touching), none, total)
 
     def add_tangent(
         self, values: Float[np.ndarray, " nnz"], response: ContactResponse, *, project: bool = False

@@ -24,7 +24,7 @@ from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.fields import ShapeField
 from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.settings import Settings
-from tactorch.inverse.fit.shapes import ShapeFit
+from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites
 from tactorch.inverse.forward.palpation import is_palpation
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import Alternative, ShapeReconstruction
@@ -49,6 +49,7 @@ from tactorch.inverse.search.palpation import PalpationSearch, at_some_places
 from tactorch.inverse.search.problem import ShapeProblem, is_same_model
 from tactorch.inverse.search.proposals import promising, propose
 from tactorch.inverse.search.sizing import refined_at_contacts
+from tactorch.inverse.search.through_gel import through_gel
 from tactorch.progress import progress_line
 from tactorch.recording import Recording
 
@@ -119,7 +120,17 @@ def find_shapes(
             if start is None:
                 _log_provisional(problem)
         model, result = search(problem, limit, start, update, path)
-        return with_predictions(result, model, recording)
+        update("gel and object")
+        try:
+            fitted = through_gel(result, recording, limit)
+        except CancelledError as error:
+            error.reached = _state(model)
+            raise
+        if fitted is not result:
+            youngs = ShapesOnSites(fitted.field, problem.sites).at(fitted.z).youngs
+            starts = model.evaluation.displacements
+            model = replace(model, evaluation=problem.full.evaluate(youngs, starts=starts))
+        return with_predictions(fitted, model, recording)
 
 
 @dataclass(eq=False)

@@ -9,7 +9,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
-from tactorch.mesh import TetMesh, refine
+from tactorch.mesh import TetMesh
 from tactorch.mesh.geometry import vertex_areas, without_flat_elements
 from tactorch.mesh.refine import Sizing
 from tactorch.sensor.description import GelLayer
@@ -64,21 +64,17 @@ class GelFace:
         `edge_mm` is the longest edge of elements at the edge of the contact.
         """
         gel = coarse.layer
-        refinement = refine(coarse.mesh, edge_sizing(distance, edge_mm, gel))
-        on_face, on_window = (
-            refinement.interpolate(mask.astype(float)) > 1.0 - 1e-9
-            for mask in (coarse.on_face, coarse.on_window)
-        )
-        points, tets = refinement.mesh.points.copy(), refinement.mesh.tets
-        flat = points[on_face, :2]
-        triangles, half = face_triangles(refinement.mesh, on_face), np.array(gel.half_size_mm)
+        fine = coarse.refined(edge_sizing(distance, edge_mm, gel))
+        on_face, half = fine.on_face, np.array(gel.half_size_mm)
+        points, tets = fine.mesh.points.copy(), fine.mesh.tets
+        flat, triangles = points[on_face, :2], fine.face_triangles
         moved = _onto_edge(flat, triangles, distance, _STEP * edge_mm, half)
         target = points.copy()
         target[on_face] = np.column_stack([moved, gel.height_mm(moved)])
         points = without_flat_elements(points, target, tets)
         touching = np.zeros(len(points), dtype=bool)
         touching[on_face] = distance(points[on_face, :2]) >= -_ON_EDGE * edge_mm
-        return GelFace(TetMesh.create(points, tets), on_face, on_window, touching, distance)
+        return GelFace(TetMesh.create(points, tets), on_face, fine.on_window, touching, distance)
 
     @property
     def contact(self) -> Int[np.ndarray, " c"]:

@@ -5,6 +5,7 @@ This amplifies noise of the displacements. `GelModel.smooth_forces` therefore fi
 forces that explain the displacements, see `tactorch.sensor.gel.tractions`.
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -16,8 +17,9 @@ from jaxtyping import Bool, Float, Int
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.fem.equilibrium import SolvedCase
-from tactorch.mesh import TetMesh, box_mesh
+from tactorch.mesh import TetMesh, box_mesh, refine
 from tactorch.mesh.geometry import vertex_areas
+from tactorch.mesh.refine import Sizing
 from tactorch.mesh.values import Real, positive
 from tactorch.sensor.description import GelLayer
 from tactorch.sensor.gel.body import GelBody, NodeVectors, rms
@@ -78,8 +80,21 @@ class GelMesh:
         graded = depth * (0.5 + 0.5 * depth)  # the outermost cells are about half as thick
         face_height = gel.height_mm(flat)
         height = face_height - graded * (gel.thickness_mm + face_height)
-        self.mesh = TetMesh.create(np.column_stack([flat, height]), cube.tets)
-        self.on_face, self.on_window = depth < 1e-9, depth > 1 - 1e-9
+        mesh = TetMesh.create(np.column_stack([flat, height]), cube.tets)
+        self._set(mesh, depth < 1e-9, depth > 1 - 1e-9)
+
+    def refined(self, sizing: Sizing) -> "GelMesh":
+        """Return the mesh bisected down to the longest edges (mm) that are given at points (mm)."""
+        refinement, other = refine(self.mesh, sizing), copy(self)
+        masks = self.on_face, self.on_window
+        moved = (refinement.interpolate(mask.astype(float)) > 1.0 - 1e-9 for mask in masks)
+        other._set(refinement.mesh, *moved)
+        return other
+
+    def _set(
+        self, mesh: TetMesh, on_face: Bool[np.ndarray, " n"], on_window: Bool[np.ndarray, " n"]
+    ) -> None:
+        self.mesh, self.on_face, self.on_window = mesh, on_face, on_window
         self.face, self.window = np.flatnonzero(self.on_face), np.flatnonzero(self.on_window)
         self.face_points = self.mesh.points[self.face]  # at rest
         self.face_triangles = face_triangles(self.mesh, self.on_face)

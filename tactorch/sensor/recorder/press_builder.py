@@ -15,12 +15,13 @@ from tactorch.config import Options, option
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.mesh import FACE_NAMES, TetMesh, face_nodes
 from tactorch.mesh.quadrature import lattice
-from tactorch.recording import Press
+from tactorch.recording import GelReading, Press
 from tactorch.sensor.chain import Measurement, SensorChain
 from tactorch.sensor.contact import MIN_FACING, ContactOptions, build_press
 from tactorch.sensor.contact_edge import surface_edge
 from tactorch.sensor.description import GelLayer
 from tactorch.sensor.gel import EdgeDistance, GelContact
+from tactorch.sensor.markers import marker_displacements
 from tactorch.sensor.poses import Pose, Poses, transform_points
 from tactorch.sensor.recorder.detector import ContactInterval
 from tactorch.sensor.recorder.objects import VirtualCube
@@ -30,6 +31,10 @@ _MIN_ALIGNMENT = np.sqrt(0.5)  # cosine between a side's normal and the press di
 _FLATNESS = 2e-3  # of a side, over the object's diagonal
 _BISECTIONS = 30
 _POINT_SPACING_MM = 0.5  # on the object's face
+# Error of the displacement of a marker in contact over itself: of the scale, of the centre of a
+# marker that is distorted, and of the finite elements of gel and object. Simulated, they are 0.6 %;
+# those of neighbours are not independent.
+_MARKER_ERROR = 0.01
 _MAX_GAP_MM = 0.5  # at the first frame with contact, without a warning
 
 
@@ -83,6 +88,17 @@ class RecordOptions(Fixture, ContactOptions):
         " of frames without contact",
         unit="mm", gt=0,
     )  # fmt: skip
+    gel_deviation: float = option(
+        0.05, "Standard deviation of the gel's Young's modulus, relative: that of its calibration",
+        ge=0, le=1,
+    )  # fmt: skip
+    pose_mm: float = option(
+        0.02, "Standard deviation of the sensor's position relative to the object, common to a"
+        " contact", unit="mm", ge=0,
+    )  # fmt: skip
+    pose_deg: float = option(
+        0.1, "Standard deviation of the sensor's orientation, the same way", unit="deg", ge=0
+    )
 
 
 class PressBuilder:
@@ -135,6 +151,7 @@ class PressBuilder:
                         forces, measured_noise_mm, measurement.light_error_mm
                     ),
                     name=f"contact {number}, {name}",
+                    gel=self._gel(measurement, pose, first_pose, measured_noise_mm),
                     **self.options.supports(self.mesh, pose[:3, 2]),
                 )  # fmt: skip
             except (ConfigError, ConvergenceError) as error:
@@ -154,6 +171,32 @@ class PressBuilder:
             return self.chain.options.marker_noise_mm
         noise_mm = max(self.chain.options.noise_mm, measured_mm or 0.0)
         return float(np.hypot(noise_mm, light_error_mm))
+
+    def _gel(
+        self, measurement: Measurement, pose: Pose, first_pose: Pose, noise_mm: float | None
+    ) -> GelReading | None:
+        """Return the gel and its markers; None where it is not known where it touches the object.
+
+        That is without markers, on an object of unknown shape, and with a limit of friction.
+        """
+        tracker, options = self.chain.tracker, self.options
+        unknown = not isinstance(self.target, TetMesh) or options.friction is not None
+        if tracker is None or unknown:
+            return None
+        at, moved = marker_displacements(
+            self.chain.sensor, tracker.reference_px, measurement.markers_px
+        )
+        seen = np.isfinite(moved).all(axis=1) & self.chain.sensor.gel.covers(at[:, :2])
+        if not seen.any():
+            return None
+        moved = moved[seen, :2]
+        noise = noise_mm or self.chain.options.marker_noise_mm
+        relative = _MARKER_ERROR * np.linalg.norm(moved, axis=1)
+        return GelReading(
+            self.chain.sensor.gel.numbers, pose, first_pose, at[seen, :2], moved,
+            np.hypot(noise, relative),
+            np.array([options.gel_deviation, options.pose_mm, np.deg2rad(options.pose_deg)]),
+        )  # fmt: skip
 
     def _outline(self, first_pose: Pose) -> EdgeDistance | None:
         """Distance from the outline of the object under the gel; None if unknown or not needed."""

@@ -1,0 +1,435 @@
+"""Presses of a tactile sensor as equilibria of its gel and the object.
+
+The window of the gel has a known pose, and the markers on the gel's face show how it is deformed.
+Forces are no data: they follow from the equilibrium. The traction, which is singular where the
+contact ends, is that of the finite elements of both, see `tactorch.touch.coupled`.
+"""
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.fem import Supports
+from tactorch.fem.contact.contact import TRIANGLE_POINTS
+from tactorch.fem.contact.pair import PairContact
+from tactorch.inverse.data.nuisance import Nuisance
+from tactorch.inverse.data.observations import DataModel, Observation
+from tactorch.inverse.forward.probes import PressReadings
+from tactorch.inverse.forward.problem import (
+    Changes,
+    Columns,
+    Evaluation,
+    InverseProblem,
+    Moduli,
+    NodalField,
+)
+from tactorch.linalg import map_cases
+from tactorch.mesh.closest import closest_points
+from tactorch.mesh.refine import Sizing
+from tactorch.recording import GelReading, Press, Recording
+from tactorch.sensor.description import GelLayer
+from tactorch.sensor.gel import GelMesh
+from tactorch.sensor.poses import Pose, transform_points
+from tactorch.touch.coupled import Coupled, CoupledState
+from tactorch.touch.pairing import Facing, face_each_other
+
+_RING = 40  # points along half of the shorter side of a gel, around it
+_MIN_MARKERS = 6  # within a contact
+_MAX_TURN = np.deg2rad(1.0)  # of the sensor between first contact and a press
+
+
+@dataclass(frozen=True, eq=False)
+class _GelPress:
+    """The equilibrium of one press, as `Evaluation` needs it."""
+
+    coupled: Coupled
+    state: CoupledState
+    readings: PressReadings
+
+    @property
+    def newton(self) -> Any:
+        return self.state.newton
+
+    @property
+    def equilibrium(self) -> Any:
+        return self.state.result
+
+    def predicted(self, observation: Observation) -> Float[np.ndarray, " data"]:
+        return self.readings.predicted(self.newton, self.equilibrium)
+
+
+class GelEvaluation(Evaluation):
+    """All presses of a sensor at one field of moduli of the object."""
+
+    _presses: list[_GelPress]  # type: ignore[assignment]
+
+    def _padded(self, changes: Changes, number: int) -> Changes:
+        return self._presses[number].coupled.body_changes(changes)
+
+    def _respond(self, changes: Changes) -> tuple[Columns, list[np.ndarray]]:
+        cases = self.sensitivities
+
+        def work(i: int) -> tuple[np.ndarray, np.ndarray]:
+            columns, fields = cases[i].times_each(self._padded(changes, i))
+            return columns, np.array(fields)
+
+        columns, fields = zip(*map_cases(work, len(cases)), strict=True)
+        return np.concatenate(columns), list(fields)
+
+    def uncertain(self, contacts: Sequence[int], readings: Sequence[GelReading]) -> Columns:
+        """Return errors that data have in common, each of unit deviation, in deviations of data.
+
+        They are of the gel's modulus, which all presses have in common, and of the pose of each
+        contact.
+
+        Args:
+            contacts: Contact of each press.
+            readings: Gel of each press.
+        """
+        cases = self.sensitivities
+
+        def work(i: int) -> np.ndarray:
+            press, (modulus, position, turn) = self._presses[i], readings[i].uncertain.tolist()
+            column, _ = cases[i].times_each(press.coupled.gel_change[None])
+            moved = cases[i].linearization.force_response(press.state.motion_forces())
+            motions = np.column_stack([cases[i].observe(field) for field in moved])
+            return np.hstack([modulus * column, motions * np.repeat([position, turn], 3)])
+
+        parts = map_cases(work, len(cases))
+        columns = np.zeros((len(self.data.values), 1 + 6 * (max(contacts) + 1)))
+        for i, (begin, part) in enumerate(zip(self._begins, parts, strict=True)):
+            rows, first = slice(begin, begin + len(part)), 1 + 6 * contacts[i]
+            columns[rows, 0], columns[rows, first : first + 6] = part[:, 0], part[:, 1:]
+        return columns * self.data.scale[:, None]
+
+    @property
+    def forces(self) -> list[Float[np.ndarray, "3"]]:
+        """Force of the gel on the object in each press, N, in the axes of the mesh."""
+        return [
+            press.state.contact.pair_forces(press.state.displacement).sum(axis=0)
+            for press in self._presses
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Contact:
+    """A contact: gel and object in the pose of first contact."""
+
+    numbers: tuple[int, ...]  # of its presses
+    coupled: Coupled
+    facing: Facing
+    gel: GelMesh
+    motions: list[Float[np.ndarray, "3"]]
+
+    def motion(self, number: int) -> Float[np.ndarray, "3"]:
+        """Motion of the sensor in a press from first touch, mm."""
+        return self.motions[self.numbers.index(number)]
+
+
+class GelProblem(InverseProblem):
+    """Presses of a sensor as an inverse problem for the modulus of the object.
+
+    There are no nuisance parameters: errors of gel and pose are errors of the data, see
+    `GelEvaluation.uncertain`.
+
+    Args:
+        recording: Presses, all of which have a `gel`.
+        youngs_mpa: Typical modulus of the object, MPa.
+        cells: Cells of elements across the shorter side of the gel.
+        layers: The same through the gel.
+        gel_sizing: Longest edges (mm) of the gel's elements at points (mm) in the frame of the
+            sensor, for each contact.
+
+    Attributes:
+        data: Displacements of the markers, and the statistics of their errors.
+        contact_of: Contact of each press.
+
+    Raises:
+        ConfigError: A press has no gel, the gel is over no part of the object, the sensor turns
+            during a contact, or supports differ along axes.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        youngs_mpa: float,
+        *,
+        cells: int = 10,
+        layers: int = 2,
+        gel_sizing: Sequence[Sizing] | None = None,
+    ) -> None:
+        self.recording, self.assumed = recording, Nuisance(recording.material.poisson)
+        self.evaluations = 0
+        # Pairs of each press that do not slip, by the first evaluation: a set that changes from one
+        # evaluation to the next would change the predictions by leaps.
+        self._sticking: dict[int, Bool[np.ndarray, " p"]] = {}
+        self.readings = [_reading(press) for press in recording.presses]
+        groups = _group(recording.presses)
+        self.contact_of = [0] * len(recording.presses)
+        for k, numbers in enumerate(groups):
+            for number in numbers:
+                self.contact_of[number] = k
+        sizings: Sequence[Sizing | None] = gel_sizing or [None] * len(groups)
+        self._touched = [
+            _make_contact(recording, numbers, youngs_mpa, (cells, layers), sizing)
+            for numbers, sizing in zip(groups, sizings, strict=True)
+        ]
+        none = np.zeros(0, dtype=np.int64)
+        observations = tuple(
+            Observation(none, g.displacement_mm.ravel(), np.repeat(1.0 / g.deviations_mm, 2))
+            for g in self.readings
+        )
+        self.data = DataModel(observations)
+        self._rows = [
+            _marker_rows(self._touched[k], reading)
+            for k, reading in zip(self.contact_of, self.readings, strict=True)
+        ]
+
+    def with_data(self, data: DataModel) -> "GelProblem":
+        """Return the problem with other data."""
+        problem = copy(self)
+        problem.data = data
+        return problem
+
+    def evaluate(
+        self,
+        youngs: Moduli,
+        near: Evaluation | None = None,
+        nuisance: Nuisance | None = None,
+        take_over: bool = False,
+        chained: bool = False,
+        starts: Sequence[NodalField] | None = None,
+    ) -> GelEvaluation:
+        """Solve all presses at moduli of the object's quadrature points, MPa.
+
+        Of the other arguments of `InverseProblem.evaluate`, `starts` is used.
+
+        Raises:
+            ConvergenceError: a press has no equilibrium; names the press.
+        """
+        self.evaluations += 1
+        count = len(self.readings)
+        given = [None] * count if starts is None else list(starts)
+        presses: list[Any] = map_cases(lambda i: self._solve(i, youngs, given), count)
+        return GelEvaluation(youngs, self.assumed, np.zeros((0, 3)), presses, self.data)
+
+    @property
+    def deepest(self) -> list[tuple[int, float]]:
+        """For each press the deepest one of its contact, and its own depth over that one's."""
+        found = [(0, 1.0)] * len(self.readings)
+        for contact in self._touched:
+            depths = np.array([motion[2] for motion in contact.motions])
+            last = int(depths.argmax())
+            for number, depth in zip(contact.numbers, depths, strict=True):
+                found[number] = contact.numbers[last], float(depth / depths[last])
+        return found
+
+    def deepest_predicted(self, youngs: Moduli) -> dict[int, Float[np.ndarray, " data"]]:
+        """Return the data (mm) of the deepest press of each contact, by its number."""
+        numbers = sorted({number for number, _ in self.deepest})
+        nothing = [None] * len(self.readings)
+
+        def work(k: int) -> Float[np.ndarray, " data"]:
+            press = self._solve(numbers[k], youngs, nothing)
+            return press.predicted(self.data.observations[numbers[k]])
+
+        return dict(zip(numbers, map_cases(work, len(numbers)), strict=True))
+
+    def _solve(self, number: int, youngs: Moduli, starts: Sequence[NodalField | None]) -> _GelPress:
+        contact, sticking = self._touched[self.contact_of[number]], self._sticking.get(number)
+        moduli, motion = contact.coupled.youngs(youngs), contact.motion(number)
+        try:
+            state = contact.coupled.solve(moduli, motion, starts[number], sticking)
+        except ConvergenceError as error:
+            label = self.recording.presses[number].label
+            raise ConvergenceError(f"{label} (index {number}): {error}") from error
+        self._sticking[number] = state.contact.sticking
+        return _GelPress(contact.coupled, state, PressReadings(self._rows[number], None))
+
+    def rims(self, evaluation: GelEvaluation) -> list["Rim"]:
+        """Return where each contact ends in its deepest press."""
+        found, deepest = [], self.deepest
+        for contact in self._touched:
+            state = evaluation._presses[deepest[contact.numbers[0]][0]].state
+            touching = state.contact.offsets(state.displacement)[:, 2] < 0.0
+            first = self.readings[contact.numbers[0]].first_pose
+            found.append(Rim.of(contact.gel, state.contact, touching, first))
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Rim:
+    """Where the contact of a gel ends, in the plane of its face.
+
+    Attributes:
+        inside: Points in contact, (x, y), mm.
+        outside: Points of the face that are not, and points around it.
+        pose: T_object_sensor at first contact.
+        size_mm: Side of a square of the area of the contact, mm.
+    """
+
+    inside: cKDTree
+    outside: cKDTree
+    pose: Float[np.ndarray, "4 4"]
+    size_mm: float
+
+    @staticmethod
+    def of(
+        gel: GelMesh, contact: PairContact, touching: Bool[np.ndarray, " p"], pose: Pose
+    ) -> "Rim":
+        """Return the rim of a contact by the points of the gel's face that touch."""
+        pairs, corners = contact.pairs, gel.face_points[gel.face_triangles]
+        inside = cKDTree(pairs.points[touching, :2])
+        face = np.einsum("pc,tcd->tpd", TRIANGLE_POINTS, corners).reshape(-1, 3)[:, :2]
+        half = np.array(gel.layer.half_size_mm)
+        step = float(half.min()) / _RING
+        axes = [np.arange(-h - 2.0 * step, h + 3.0 * step, step) for h in half]
+        around = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+        apart = face[inside.query(face)[0] > 1e-6 * step]
+        outside = np.concatenate([apart, around[~gel.layer.covers(around)]])
+        size = float(np.sqrt(pairs.areas_mm2[touching].sum()))
+        return Rim(inside, cKDTree(outside), pose, size)
+
+    def sizing(self, shortest: float, growth: float) -> Sizing:
+        """Return longest edges (mm) at points (mm) of the sensor's frame.
+
+        They grow with the distance from the rim, from `shortest` times the size of the contact.
+        """
+
+        def sizes(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+            away = np.hypot(self.distances(points[:, :2]), points[:, 2])
+            return np.maximum(growth * away, shortest * self.size_mm)
+
+        return sizes
+
+    def distances(self, points: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, " k"]:
+        """Return the distances of points of the face from the rim, mm."""
+        return np.asarray(np.maximum(self.inside.query(points)[0], self.outside.query(points)[0]))
+
+    def on_object(self, sizing: Sizing) -> Sizing:
+        """Return the same at points of the frame of the object."""
+        inverse = np.linalg.inv(self.pose)
+        return lambda points: sizing(transform_points(inverse, points))
+
+
+def within_contacts(
+    recording: Recording, rims: Sequence[Rim], contact_of: Sequence[int], margin: float
+) -> Recording:
+    """Return the presses with those markers only that are within their contact.
+
+    Beside it, the face of the gel depends on where exactly the contact ends, and at its end the
+    displacement changes within a marker. `margin` is the distance from there over the size.
+
+    Raises:
+        ConfigError: a press has less than `_MIN_MARKERS` markers within its contact.
+    """
+    presses = []
+    for press, k in zip(recording.presses, contact_of, strict=True):
+        reading, rim = _reading(press), rims[k]
+        kept = rim.outside.query(reading.markers_mm)[0] > margin * rim.size_mm
+        if kept.sum() < _MIN_MARKERS:
+            raise ConfigError(
+                f"{press.label}: {kept.sum()} markers are within the contact; {_MIN_MARKERS} are "
+                "needed."
+            )
+        arrays = ("markers_mm", "displacement_mm", "deviations_mm")
+        left = {name: getattr(reading, name)[kept] for name in arrays}
+        presses.append(replace(press, gel=replace(reading, **left)))
+    return replace(recording, presses=tuple(presses), check_units=False)
+
+
+def has_gels(recording: Recording) -> bool:
+    """Return whether all presses of a recording have the markers of a gel."""
+    return all(press.gel is not None for press in recording.presses)
+
+
+def _reading(press: Press) -> GelReading:
+    if press.gel is None:
+        raise ConfigError(f"{press.label} has no gel; give presses of a sensor with markers.")
+    return press.gel
+
+
+def _group(presses: Sequence[Press]) -> list[tuple[int, ...]]:
+    """Return the numbers of the presses of each contact."""
+    groups: dict[bytes, list[int]] = {}
+    for i, press in enumerate(presses):
+        reading = _reading(press)
+        arrays = reading.layer, reading.first_pose, press.fixed, press.springs
+        groups.setdefault(b"".join(array.tobytes() for array in arrays), []).append(i)
+    return [tuple(numbers) for numbers in groups.values()]
+
+
+def _make_contact(
+    recording: Recording,
+    numbers: tuple[int, ...],
+    youngs_mpa: float,
+    cells: tuple[int, int],
+    sizing: Sizing | None,
+) -> _Contact:
+    first, mesh = recording.presses[numbers[0]], recording.mesh
+    reading = _reading(first)
+    supports = _supports(first)
+    layer = GelLayer.of_numbers(reading.layer, recording.material.name)
+    shorter = 2.0 * min(layer.half_size_mm)
+    gel = GelMesh(layer, shorter / cells[0], cells[1])
+    if sizing is not None:
+        gel = gel.refined(sizing)
+    facing = face_each_other(mesh, None, gel, reading.first_pose)
+    if facing is None:
+        raise ConfigError(f"{first.label}: the gel is over no part of the object; check its pose.")
+    motions = [_motion(recording.presses[i], facing) for i in numbers]
+    depth = max(float(motion[2]) for motion in motions)
+    if depth <= 0.0:
+        raise ConfigError(f"{first.label}: the gel does not touch the object; check its pose.")
+    coupled = Coupled(
+        facing, mesh, gel, recording.material, supports, body_mpa=youngs_mpa, depth_mm=depth
+    )
+    return _Contact(numbers, coupled, facing, gel, motions)
+
+
+def _supports(press: Press) -> Supports:
+    """Return the supports in any frame."""
+    for name in ("fixed", "springs"):
+        values = getattr(press, name)
+        if (values != values[:, :1]).any():
+            raise ConfigError(f"{press.label}: {name} differ along axes; give the same along all.")
+    if press.prescribed.any():
+        raise ConfigError(f"{press.label}: prescribed moves the supports; move the gel instead.")
+    return Supports(fixed=press.fixed, springs=press.springs if press.springs.any() else None)
+
+
+def _motion(press: Press, facing: Facing) -> Float[np.ndarray, "3"]:
+    """Return the motion of the sensor from first touch, in its frame, mm."""
+    reading = _reading(press)
+    relative = np.linalg.inv(reading.first_pose) @ reading.pose
+    turn = np.arccos(np.clip((np.trace(relative[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
+    if turn > _MAX_TURN:
+        raise ConfigError(
+            f"{press.label}: the sensor turns by {np.rad2deg(turn):.1f} degrees after first "
+            "contact; keep its orientation during a contact."
+        )
+    motion: Float[np.ndarray, 3] = relative[:3, 3].copy()
+    motion[2] -= facing.first_touch[1]
+    return motion
+
+
+def _marker_rows(contact: _Contact, reading: GelReading) -> sp.csr_matrix:
+    """Return the map from displacements of all nodes (flat, mm) to those of the markers."""
+    gel, parts = contact.gel, contact.coupled.parts
+    flat, queries = (
+        np.pad(at[:, :2], ((0, 0), (0, 1))) for at in (gel.face_points, reading.markers_mm)
+    )
+    closest = closest_points(flat, gel.face_triangles, queries)
+    triangles = gel.face[gel.face_triangles[closest.triangles]] + contact.coupled.n_body
+    nodes, values = parts.surface_nodes(triangles), parts.surface_values(closest.barycentric)
+    numbers: Int[np.ndarray, " r"] = np.repeat(np.arange(2 * len(nodes)), nodes.shape[1])
+    columns = np.stack([3 * nodes, 3 * nodes + 1], axis=1).ravel()
+    entries = np.repeat(values, 2, axis=0).ravel()
+    return sp.csr_matrix((entries, (numbers, columns)), (2 * len(nodes), 3 * parts.n_nodes))

@@ -1,0 +1,187 @@
+"""A gel and a body in front of it, as one assembly whose parts touch."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from tactorch.errors import ConvergenceError
+from tactorch.fem import NewtonOptions, Supports, make_material
+from tactorch.fem.assembly import Assembly
+from tactorch.fem.contact.contact import RELATIVE_STIFFNESS
+from tactorch.fem.contact.pair import PairContact
+from tactorch.fem.newton import EquilibriumResult, Newton
+from tactorch.linalg import SolverPool
+from tactorch.mesh import TetMesh
+from tactorch.recording import MaterialSpec
+from tactorch.sensor.gel import GelMesh
+from tactorch.touch.pairing import Facing
+
+_REACH = 2.0  # distance of pairs that may touch, over the depth
+_FIRST_RTOL = 1e-3  # of the forces without friction
+
+
+@dataclass(frozen=True, eq=False)
+class CoupledState:
+    """An equilibrium of gel and body.
+
+    Attributes:
+        contact: Their contact, which has the motion of the gel.
+        newton: The equilibrium search.
+        result: Its result, in the frame of the sensor.
+    """
+
+    contact: PairContact
+    newton: Newton
+    result: EquilibriumResult
+
+    @property
+    def displacement(self) -> Float[np.ndarray, "nodes 3"]:
+        """Displacement of all nodes, mm; that of the gel's relative to its window."""
+        return self.result.displacement
+
+    def motion_forces(self) -> Float[np.ndarray, "6 nodes 3"]:
+        """Return the changes of the forces on all nodes by motions of the gel's window.
+
+        The first three are by translations (N/mm), the others by turns about the origin (N/rad).
+        Pairs remain in contact, and those that stick remain sticking.
+        """
+        contact, pairs = self.contact, self.contact.pairs
+        turns = np.cross(np.eye(3)[:, None], pairs.points)
+        motions = [np.broadcast_to(axis, pairs.points.shape) for axis in np.eye(3)]
+        springs = contact.springs(self.displacement)
+        return np.stack([pairs.spread(springs * motion) for motion in (*motions, *turns)])
+
+
+class Coupled:
+    """A gel and a body at a place, prepared for several motions.
+
+    All fields are in the frame of the sensor. Nodes are the points of the body, those of the gel,
+    and the midside nodes of both.
+
+    Args:
+        facing: Points of gel and body that are opposite to each other.
+        body: Mesh of the body.
+        gel: Mesh of the gel.
+        material: Constitutive law of the body; that of the gel has another Poisson's ratio.
+        supports: Fixed points of the body, and springs, the same along all axes.
+        body_mpa: Typical Young's modulus of the body, for the stiffness of the contact, MPa.
+        depth_mm: Largest motion of the gel.
+        sticks: Whether points that a first solution without friction has in contact do not slip.
+        rtol: Residual of equilibria.
+
+    Attributes:
+        parts: Discretisation of both.
+        counts: Number of elements of body and gel.
+        n_body: Number of points of the body, which are the first ones.
+        body_rows: Nodes of the body, in the order of a discretisation of the body alone.
+        face_rows: Nodes of the gel's face, midside nodes last.
+        body_points: Points of the body of each pair at rest, in its own frame, mm.
+    """
+
+    def __init__(
+        self,
+        facing: Facing,
+        body: TetMesh,
+        gel: GelMesh,
+        material: MaterialSpec,
+        supports: Supports,
+        *,
+        body_mpa: float,
+        depth_mm: float,
+        sticks: bool = True,
+        rtol: float = 1e-7,
+    ) -> None:
+        layer = gel.layer
+        pairs, near = facing.pairs(_REACH * depth_mm)
+        self.parts, self._sticks, self._rtol = pairs.discretisation, sticks, rtol
+        softest = min(float(layer.youngs_mpa), body_mpa)
+        stiffness = RELATIVE_STIFFNESS * softest / float(np.sqrt(np.median(gel.mesh.surface.areas)))
+        none = np.zeros(int(near.sum()), dtype=bool)
+        self.contact = PairContact(pairs, np.zeros(3), stiffness, none)
+        self.counts, self.n_body = (body.n_tets, gel.mesh.n_tets), body.n_points
+        poisson = np.repeat([material.poisson, float(layer.poisson)], self.counts)
+        law = make_material(layer.material, layer.poisson)
+        self.assembly = Assembly(self.parts, law, poisson, self.parts.mesh.points)
+        self.pool = SolverPool(self.parts.pattern)
+        self.gel_mpa = float(layer.youngs_mpa)
+        fixed = np.zeros(body.points.shape, bool) if supports.fixed is None else supports.fixed
+        window = np.repeat(gel.on_window[:, None], 3, axis=1)
+        springs = None
+        if supports.springs is not None:
+            springs = np.concatenate([supports.springs, np.zeros(gel.mesh.points.shape)])
+        held = Supports(fixed=np.concatenate([fixed, window]), springs=springs)
+        self.supports = held.case(0, self.parts)
+        vertices = np.arange(self.parts.mesh.n_points) >= body.n_points
+        on_gel = np.concatenate([vertices, vertices[self.parts.edges[:, 0]]])
+        self.body_rows: Int[np.ndarray, " b"] = np.flatnonzero(~on_gel)
+        face = gel.face[gel.face_triangles] + body.n_points
+        self.face_rows: Int[np.ndarray, " g"] = np.unique(self.parts.surface_nodes(face))
+        corners = body.points[body.surface.triangles[facing.faces[near]]]
+        self.body_points = np.einsum("pc,pcd->pd", facing.barycentric[near], corners)
+
+    def youngs(self, body: Float[np.ndarray, "m *q"]) -> Float[np.ndarray, "m2 q"]:
+        """Return the moduli of all elements' quadrature points from those of the body, MPa."""
+        points = self.assembly.weights.shape[1]
+        own = np.broadcast_to(body.reshape(len(body), -1), (len(body), points))
+        return np.concatenate([own, np.full((self.counts[1], points), self.gel_mpa)])
+
+    def body_changes(
+        self, changes: Float[np.ndarray, "k moduli"]
+    ) -> Float[np.ndarray, "k all_moduli"]:
+        """Return changes of all moduli by those at the quadrature points of the body."""
+        return np.pad(changes, ((0, 0), (0, self.assembly.weights.size - changes.shape[1])))
+
+    @cached_property
+    def gel_change(self) -> Float[np.ndarray, " all_moduli"]:
+        """Change of all moduli by the logarithm of the gel's, MPa."""
+        change = np.zeros(self.assembly.weights.shape)
+        change[self.counts[0] :] = self.gel_mpa
+        return change.ravel()
+
+    def solve(
+        self,
+        youngs: Float[np.ndarray, "m2 q"],
+        motion_mm: Float[np.ndarray, "3"],
+        start: Float[np.ndarray, "nodes 3"] | None = None,
+        sticking: Bool[np.ndarray, " p"] | None = None,
+    ) -> CoupledState:
+        """Return the equilibrium of moduli (MPa) and a motion from the pose in which both face.
+
+        It is searched from displacements of all nodes, `start`, mm. `sticking` are the pairs that
+        do not slip, where they are known already.
+
+        Raises:
+            ConvergenceError: There is none.
+        """
+        contact = replace(self.contact, motion_mm=motion_mm)
+        if sticking is not None:
+            contact = replace(contact, sticking=sticking)
+        is_last = sticking is not None or not self._sticks
+        newton = self._search(contact, youngs, self._rtol if is_last else _FIRST_RTOL)
+        result = newton.run(start)
+        if not is_last and result.converged:
+            sticking = contact.offsets(result.displacement)[:, 2] < 0.0
+            contact = replace(contact, sticking=sticking)
+            newton = self._search(contact, youngs, self._rtol, newton)
+            result = newton.run(result.displacement)
+        if not result.converged:
+            raise ConvergenceError(
+                f"no equilibrium of gel and body at {motion_mm[2]:.3g} mm from first touch:"
+                f" {result.reason} Give a smaller depth_mm, or a larger gel_edge_mm."
+            )
+        return CoupledState(contact, newton, result)
+
+    def _search(
+        self,
+        contact: PairContact,
+        youngs: Float[np.ndarray, "m2 q"],
+        rtol: float,
+        after: Newton | None = None,
+    ) -> Newton:
+        options, nothing = NewtonOptions(rtol=rtol), np.zeros((self.parts.n_nodes, 3))
+        return Newton(
+            self.assembly, self.pool, youngs, nothing, self.supports, options, after,
+            contact=contact,
+        )  # fmt: skip

@@ -1,0 +1,255 @@
+"""Fits through the equilibrium of gel and object: derivatives, and a ball from its markers.
+
+The presses are solved on another, finer mesh.
+"""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import CloughTocher2DInterpolator
+
+from tactorch.errors import CancelledError, ConfigError
+from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
+from tactorch.inverse.fit.shapes import ShapesOnSites
+from tactorch.inverse.forward.gel import GelProblem, has_gels, within_contacts
+from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.result.shapes import ShapeReconstruction
+from tactorch.inverse.search import through_gel as module
+from tactorch.inverse.search.through_gel import _sites, through_gel
+from tactorch.mesh import Box, Sphere, box_mesh
+from tactorch.phantoms import Phantom
+from tactorch.recording import GelReading, MaterialSpec, Press, Recording
+from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription
+from tactorch.touch import TouchOptions, TouchScene
+
+LAYER = GelLayer(4.0, 0.12, 0.45, size_mm=(14.0, 14.0))
+SENSOR = SensorDescription(
+    "small", (140, 140), (0.1, 0.1), LAYER, MarkerGrid(11, 11, (1.2, 1.2), 0.3)
+)
+CENTER, RADIUS, YOUNGS, AROUND = (5.5, 4.6, 6.8), 2.0, 0.8, 0.2
+MATERIAL = MaterialSpec("neo_hookean", 0.45)
+NOISE = 5e-4
+DEPTHS = (0.4, 0.8)
+
+
+def poses() -> list[np.ndarray]:
+    """Sensor above the top of the cube, and in front of its side x+."""
+    top, side = np.eye(4), np.eye(4)
+    top[:3, :3] = [(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)]
+    top[:3, 3] = (5.0, 5.0, 10.0)
+    side[:3, :3] = [(0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)]
+    side[:3, 3] = (10.0, 5.0, 5.0)
+    return [top, side]
+
+
+def make_recording(moved: list[np.ndarray]) -> Recording:
+    """Displacements of the markers in two presses of each side, on a mesh of 6 cells a side."""
+    mesh, presses = box_mesh(10.0, 6), []
+    markers, nothing = SENSOR.markers.positions_mm, np.zeros((len(mesh.points), 3))
+    for number, one in enumerate(moved):
+        first, axis = poses()[number // 2], (2, 0)[number // 2]
+        pose = first.copy()
+        pose[:3, 3] += DEPTHS[number % 2] * pose[:3, 2]
+        fixed = np.repeat(np.abs(mesh.points[:, axis, None]) < 1e-9, 3, axis=1)
+        gel = GelReading(
+            LAYER.numbers, pose, first, markers, one,
+            np.hypot(NOISE, 0.01 * np.linalg.norm(one, axis=1)), np.array([0.03, 0.01, 1e-3]),
+        )  # fmt: skip
+        forces = np.where(mesh.points[:, axis, None] > 9.99, 0.01 * pose[:3, 2], 0.0)
+        presses.append(Press(forces, ~fixed, nothing + 0.1, fixed=fixed, gel=gel, noise_mm=0.01))
+    return Recording(mesh, tuple(presses), MATERIAL, check_units=False)
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    """Presses in which markers do not move."""
+    return make_recording([np.zeros(SENSOR.markers.positions_mm.shape)] * 4)
+
+
+@pytest.fixture(scope="module")
+def solved() -> Recording:
+    """Presses as they are, with noise, solved on finer meshes."""
+    phantom = Phantom(Box((5.0, 5.0, 5.0), 10.0), ((Sphere(CENTER, RADIUS), YOUNGS),), AROUND)
+    markers, rng, moved = SENSOR.markers.positions_mm, np.random.default_rng(0), []
+    for pose, held in zip(poses(), ("z-", "x-"), strict=True):
+        options = TouchOptions(gel_edge_mm=1.0, gel_layers=4, held=0.0, held_side=held)
+        scene = TouchScene(phantom, box_mesh(10.0, 11), MATERIAL, SENSOR, options)
+        for press in scene.press(pose, [np.array([0.0, 0.0, depth]) for depth in DEPTHS]):
+            between = CloughTocher2DInterpolator(
+                press.gel_points[:, :2], press.gel_displacement[:, :2]
+            )
+            moved.append(between(markers) + NOISE * rng.standard_normal(markers.shape))
+    return make_recording(moved)
+
+
+def field_and_truth(recording: Recording) -> tuple[ShapeField, np.ndarray]:
+    field = ShapeField(ShapePrior.of(recording.mesh, AROUND), (BALL,))
+    values = np.array([0.0, *CENTER, np.log(RADIUS), np.log(YOUNGS / AROUND)])
+    return field, field.standard(values)
+
+
+def result_at(field: ShapeField, z: np.ndarray) -> ShapeReconstruction:
+    posterior = ShapePosterior(field, z, np.zeros(len(z)), 0.01 * np.eye(len(z)))
+    return ShapeReconstruction(field, z, posterior, 1.0, (9.0,), 9.0, {}, 0.0, ())
+
+
+@pytest.fixture(scope="module")
+def problem(recording: Recording) -> GelProblem:
+    return GelProblem(recording, AROUND, cells=7)
+
+
+def test_derivatives_are_those_of_differences(problem: GelProblem, recording: Recording) -> None:
+    field, z = field_and_truth(recording)
+    family = ShapesOnSites(field, _sites(recording.mesh))
+    evaluation = problem.evaluate(family.at(z).youngs)
+    jacobian = family.at(z).jacobian(evaluation)
+    for k in (0, len(z) - 1):
+        ends = []
+        for step in (0.02, -0.02):
+            other = z + step * np.eye(len(z))[k]
+            ends.append(problem.evaluate(family.at(other).youngs, starts=evaluation.displacements))
+        expected = (ends[0].residuals - ends[1].residuals) / 0.04
+        size = np.linalg.norm(expected)
+        assert np.linalg.norm(jacobian[:, k] - expected) < 0.03 * size
+
+
+def test_errors_of_gel_and_pose_are_what_they_change(
+    problem: GelProblem, recording: Recording
+) -> None:
+    """One column for the gel of all presses, and six for the pose of each contact."""
+    field, z = field_and_truth(recording)
+    youngs = ShapesOnSites(field, _sites(recording.mesh)).at(z).youngs
+    evaluation = problem.evaluate(youngs)
+    columns = evaluation.uncertain(problem.contact_of, problem.readings)
+    assert columns.shape == (len(evaluation.residuals), 1 + 2 * 6)
+    half = len(columns) // 2
+    assert not columns[half:, 1:7].any()
+    assert not columns[:half, 7:].any()
+    # A stiffer gel: the log-modulus has a deviation of 0.03.
+    stiffer = [
+        replace(p, gel=replace(p.gel, layer=replace(LAYER, youngs_mpa=0.12 * 1.01).numbers))
+        for p in recording.presses
+    ]
+    other = GelProblem(replace(recording, presses=tuple(stiffer)), AROUND, cells=7)
+    change = other.evaluate(youngs).residuals - evaluation.residuals
+    expected = change * 0.03 / np.log(1.01)
+    assert np.linalg.norm(columns[:, 0] - expected) < 0.05 * np.linalg.norm(expected)
+    # A sensor that is 0.01 mm further along its axis than stated.
+    deeper = []
+    for p in recording.presses:
+        pose = p.gel.pose.copy()
+        pose[:3, 3] += 0.01 * pose[:3, 2]
+        deeper.append(replace(p, gel=replace(p.gel, pose=pose)))
+    other = GelProblem(replace(recording, presses=tuple(deeper)), AROUND, cells=7)
+    change = other.evaluate(youngs).residuals - evaluation.residuals
+    found = columns[:, 3] + columns[:, 9]
+    assert np.linalg.norm(found - change) < 0.1 * np.linalg.norm(change)
+
+
+@pytest.fixture
+def fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"_SHORTEST": 0.12, "_CELLS": 12, "_LAYERS": 3, "_CORRECTIONS": 2}.items():
+        monkeypatch.setattr(module, name, value)
+
+
+@pytest.mark.slow
+def test_a_ball_is_found_from_the_markers(
+    solved: Recording, fast: None, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Modulus, radius and place, from a start that is off as that by the gel's forces may be."""
+    field, z = field_and_truth(solved)
+    values = field.physical(z)
+    values[1:] += [0.15, 0.1, -0.2, 0.1, -0.5]
+    with caplog.at_level(logging.INFO):
+        found = through_gel(result_at(field, field.standard(values)), solved)
+    assert found.chi2 < 1.5
+    (lump,) = found.inclusions
+    assert np.linalg.norm(np.subtract(lump.shape.center_mm, CENTER)) < 0.12
+    assert lump.radius_90_mm.low < RADIUS < lump.radius_90_mm.high
+    assert lump.youngs_90_mpa.low < YOUNGS < lump.youngs_90_mpa.high
+    assert found.background_mpa == pytest.approx(AROUND, rel=0.1)
+    radius, contrast = np.exp(found.field.physical(found.z)[-2:])
+    print(
+        "BEST",
+        radius,
+        contrast,
+        found.background_mpa,
+        lump.summary(),
+        np.subtract(lump.shape.center_mm, CENTER),
+    )
+    assert radius == pytest.approx(RADIUS, rel=0.1)
+    assert contrast == pytest.approx(YOUNGS / AROUND, rel=0.35)
+    assert "gel and object, fit 1" in caplog.text
+
+
+def test_markers_within_the_contact_are_used(problem: GelProblem, recording: Recording) -> None:
+    """The contact ends at the edges of the cube, 5 mm from the axis of the sensor."""
+    field, z = field_and_truth(recording)
+    youngs = ShapesOnSites(field, _sites(recording.mesh)).at(z).youngs
+    rims = problem.rims(problem.evaluate(youngs))
+    assert rims[0].size_mm == pytest.approx(10.0, rel=0.1)
+    left = within_contacts(recording, rims, problem.contact_of, 0.08)
+    markers = left.presses[0].gel.markers_mm
+    assert 25 <= len(markers) <= 81
+    assert np.abs(markers).max() < 5.0
+    assert np.abs(markers).max() > 3.0
+    assert len(left.presses[0].gel.displacement_mm) == len(markers)
+    with pytest.raises(ConfigError, match="0 markers are within the contact; 6 are needed"):
+        within_contacts(recording, rims, problem.contact_of, 2.0)
+
+
+def test_presses_without_markers_keep_their_result(
+    recording: Recording, caplog: pytest.LogCaptureFixture
+) -> None:
+    field, z = field_and_truth(recording)
+    result = result_at(field, z)
+    first = recording.presses[0]
+    bare = replace(recording, presses=(replace(first, gel=None), *recording.presses[1:]))
+    assert not has_gels(bare)
+    assert through_gel(result, bare) is result
+    # A sensor that turns has no equilibrium here, and the result remains.
+    turned = first.gel.pose.copy()
+    turned[:3, :3] = turned[:3, :3] @ _turn(0.1)
+    presses = (replace(first, gel=replace(first.gel, pose=turned)), *recording.presses[1:])
+    assert through_gel(result, replace(recording, presses=presses)) is result
+    assert "turns by 5.7 degrees after first contact" in caplog.text
+
+
+def _turn(angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([(c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)])
+
+
+def test_a_fit_can_be_stopped(recording: Recording, fast: None) -> None:
+    field, z = field_and_truth(recording)
+    with pytest.raises(CancelledError, match="stopped in the fit of gel and object"):
+        through_gel(result_at(field, z), recording, lambda: True)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"springs": np.array([1.0, 2.0, 1.0])}, "springs differ along axes"),
+        ({"gel": None}, "has no gel"),
+    ],
+)
+def test_refuses_what_it_cannot_describe(
+    recording: Recording, change: dict[str, np.ndarray], message: str
+) -> None:
+    first = recording.presses[0]
+    if "springs" in change:
+        change = {"springs": first.fixed * change["springs"]}
+    presses = (replace(first, **change), *recording.presses[1:])
+    with pytest.raises(ConfigError, match=message):
+        GelProblem(replace(recording, presses=presses), AROUND)
+
+
+def test_a_gel_beside_the_object_is_refused(recording: Recording) -> None:
+    first = recording.presses[0]
+    away = first.gel.first_pose.copy()
+    away[0, 3] += 50.0
+    presses = (replace(first, gel=replace(first.gel, first_pose=away, pose=away)),)
+    with pytest.raises(ConfigError, match="the gel is over no part of the object"):
+        GelProblem(replace(recording, presses=presses), AROUND)
