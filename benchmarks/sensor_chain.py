@@ -381,7 +381,8 @@ def inverted(place: Path, session: Session, *, gels: bool = True) -> dict[str, A
         **figures, "off_mm": float(np.linalg.norm(off)), "off_axes_mm": off.tolist(),
         "youngs_mpa": found.youngs_mpa, "youngs_90_mpa": [low, high],
         "within": bool(low <= ball.youngs_mpa <= high),
-        "radius_mm": found.shape.radius_mm, "radius_90_mm": list(found.radius_90_mm), "true_radius_mm": ball.radius_mm,
+        "radius_mm": found.shape.radius_mm, "true_radius_mm": ball.radius_mm,
+        "radius_90_mm": list(found.radius_90_mm),
         "probability": found.probability,
     }  # fmt: skip
 
@@ -426,7 +427,8 @@ def format_tables(results: dict[str, Any]) -> list[str]:
             )
     lines += [
         "",
-        "| session | forces | lumps | off by | x, y, z | radius | ball, MPa | 90 % | around, MPa | chi2 | s |",
+        "| session | forces | lumps | off by | x, y, z | radius | ball, MPa | 90 % | around, MPa |"
+        " chi2 | s |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]  # fmt: skip
     for name, result in results.items():

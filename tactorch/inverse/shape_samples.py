@@ -156,12 +156,18 @@ def sample_shapes(
         show_progress: Whether to show a line of progress; see `tactorch.progress.progress_line`.
 
     Raises:
-        ConfigError: a setting cannot be used, or there are fewer than two draws.
+        ConfigError: a setting cannot be used, there are fewer than two draws, or the shapes are
+            fitted through the gel of a sensor.
         ConvergenceError: a press has no equilibrium at the result, on the mesh or on the finer
             ones of the correction, or no draw has one.
     """
     if draws < 2:
         raise ConfigError(f"draws={draws} must be 2 or more.")
+    if result.through_gel:
+        raise ConfigError(
+            "The shapes are fitted through the gel of a sensor, and draws are by its forces; use "
+            "the intervals of the result."
+        )
     with progress_line("draws of the posterior", show_progress) as update:
         exact = _ExactPosterior.of(recording, result, settings or Settings(), update)
         draw = sample_posterior(result.posterior, exact.log_density, draws, seed)

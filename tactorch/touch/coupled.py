@@ -41,17 +41,20 @@ class CoupledState:
         """Displacement of all nodes, mm; that of the gel's relative to its window."""
         return self.result.displacement
 
-    def motion_forces(self) -> Float[np.ndarray, "6 nodes 3"]:
-        """Return the changes of the forces on all nodes by motions of the gel's window.
+    def motion_forces(self) -> Float[np.ndarray, "3 nodes 3"]:
+        """Return the changes of the forces on all nodes by motions of the gel against the body.
 
-        The first three are by translations (N/mm), the others by turns about the origin (N/rad).
-        Pairs remain in contact, and those that stick remain sticking.
+        They are by a translation along the axis (N/mm) and by tilts about x and y through the
+        origin (N/rad), which change how far pairs penetrate. Pairs remain in contact. That the
+        press turns with a tilt is left out, so that tilts change markers by less: by 0.73 of it at
+        a depth of 0.4 mm, and by 0.47 at 0.8 mm, under a gel of 4 mm on a cube of 10 mm.
         """
         contact, pairs = self.contact, self.contact.pairs
-        turns = np.cross(np.eye(3)[:, None], pairs.points)
-        motions = [np.broadcast_to(axis, pairs.points.shape) for axis in np.eye(3)]
+        along = np.stack([np.ones(len(pairs.points)), pairs.points[:, 1], -pairs.points[:, 0]])
         springs = contact.springs(self.displacement)
-        return np.stack([pairs.spread(springs * motion) for motion in (*motions, *turns)])
+        at_pairs = np.zeros((3, *pairs.points.shape))
+        at_pairs[..., 2] = springs[:, 2] * along
+        return np.stack([pairs.spread(one) for one in at_pairs])
 
 
 class Coupled:

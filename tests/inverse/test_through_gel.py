@@ -5,6 +5,7 @@ The presses are solved on another, finer mesh.
 
 import logging
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from scipy.interpolate import CloughTocher2DInterpolator
 from tactorch.errors import CancelledError, ConfigError
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.fit.shapes import ShapesOnSites
-from tactorch.inverse.forward.gel import GelProblem, has_gels, within_contacts
+from tactorch.inverse.forward.gel import GelProblem, pressed, within_contacts
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction
 from tactorch.inverse.search import through_gel as module
@@ -115,37 +116,58 @@ def test_derivatives_are_those_of_differences(problem: GelProblem, recording: Re
         assert np.linalg.norm(jacobian[:, k] - expected) < 0.03 * size
 
 
+def moved_sensor(recording: Recording, change: np.ndarray) -> Recording:
+    """Presses with a sensor that is moved, with its motion, by a change in its frame at first."""
+    presses = []
+    for press in recording.presses:
+        first = press.gel.first_pose
+        whole = first @ change @ np.linalg.inv(first)
+        poses = {name: whole @ getattr(press.gel, name) for name in ("pose", "first_pose")}
+        presses.append(replace(press, gel=replace(press.gel, **poses)))
+    return replace(recording, presses=tuple(presses), check_units=False)
+
+
 def test_errors_of_gel_and_pose_are_what_they_change(
     problem: GelProblem, recording: Recording
 ) -> None:
-    """One column for the gel of all presses, and six for the pose of each contact."""
+    """One column for the gel of all presses, and three for the pose of each contact."""
     field, z = field_and_truth(recording)
     youngs = ShapesOnSites(field, _sites(recording.mesh)).at(z).youngs
     evaluation = problem.evaluate(youngs)
     columns = evaluation.uncertain(problem.contact_of, problem.readings)
-    assert columns.shape == (len(evaluation.residuals), 1 + 2 * 6)
+    assert columns.shape == (len(evaluation.residuals), 1 + 2 * 3)
     half = len(columns) // 2
-    assert not columns[half:, 1:7].any()
-    assert not columns[:half, 7:].any()
+    assert not columns[half:, 1:4].any()
+    assert not columns[:half, 4:].any()
+
+    def change(other: Recording) -> np.ndarray:
+        found = GelProblem(other, AROUND, cells=7).evaluate(youngs).residuals
+        return found - evaluation.residuals
+
     # A stiffer gel: the log-modulus has a deviation of 0.03.
     stiffer = [
         replace(p, gel=replace(p.gel, layer=replace(LAYER, youngs_mpa=0.12 * 1.01).numbers))
         for p in recording.presses
     ]
-    other = GelProblem(replace(recording, presses=tuple(stiffer)), AROUND, cells=7)
-    change = other.evaluate(youngs).residuals - evaluation.residuals
-    expected = change * 0.03 / np.log(1.01)
+    expected = change(replace(recording, presses=tuple(stiffer))) * 0.03 / np.log(1.01)
     assert np.linalg.norm(columns[:, 0] - expected) < 0.05 * np.linalg.norm(expected)
-    # A sensor that is 0.01 mm further along its axis than stated.
-    deeper = []
-    for p in recording.presses:
-        pose = p.gel.pose.copy()
-        pose[:3, 3] += 0.01 * pose[:3, 2]
-        deeper.append(replace(p, gel=replace(p.gel, pose=pose)))
-    other = GelProblem(replace(recording, presses=tuple(deeper)), AROUND, cells=7)
-    change = other.evaluate(youngs).residuals - evaluation.residuals
-    found = columns[:, 3] + columns[:, 9]
-    assert np.linalg.norm(found - change) < 0.1 * np.linalg.norm(change)
+    # A sensor that is 0.01 mm further along its axis than stated, and one that is tilted.
+    deeper, tilted = np.eye(4), np.eye(4)
+    deeper[2, 3] = 0.01
+    c, s = np.cos(1e-3), np.sin(1e-3)
+    tilted[1:3, 1:3] = [(c, -s), (s, c)]
+    found, expected = columns[:, 1] + columns[:, 4], change(moved_sensor(recording, deeper))
+    assert np.linalg.norm(found - expected) < 0.1 * np.linalg.norm(expected)
+    # That of a tilt leaves out that the press turns too, which lowers it with the depth.
+    found, expected = columns[:, 2] + columns[:, 5], change(moved_sensor(recording, tilted))
+    for k, (least, most) in enumerate([(0.6, 0.9), (0.35, 0.6)] * 2):
+        one, other = (np.split(values, 4)[k] for values in (found, expected))
+        assert np.corrcoef(one, other)[0, 1] > 0.9
+        assert least < one @ other / (one @ one) < most
+    # Two sensors have two gels.
+    other = replace(problem.readings[-1], layer=replace(LAYER, thickness_mm=3.9).numbers)
+    two = evaluation.uncertain(problem.contact_of, [*problem.readings[:-1], other])
+    assert two.shape[1] == columns.shape[1] + 1
 
 
 @pytest.fixture
@@ -171,14 +193,6 @@ def test_a_ball_is_found_from_the_markers(
     assert lump.youngs_90_mpa.low < YOUNGS < lump.youngs_90_mpa.high
     assert found.background_mpa == pytest.approx(AROUND, rel=0.1)
     radius, contrast = np.exp(found.field.physical(found.z)[-2:])
-    print(
-        "BEST",
-        radius,
-        contrast,
-        found.background_mpa,
-        lump.summary(),
-        np.subtract(lump.shape.center_mm, CENTER),
-    )
     assert radius == pytest.approx(RADIUS, rel=0.1)
     assert contrast == pytest.approx(YOUNGS / AROUND, rel=0.35)
     assert "gel and object, fit 1" in caplog.text
@@ -190,14 +204,30 @@ def test_markers_within_the_contact_are_used(problem: GelProblem, recording: Rec
     youngs = ShapesOnSites(field, _sites(recording.mesh)).at(z).youngs
     rims = problem.rims(problem.evaluate(youngs))
     assert rims[0].size_mm == pytest.approx(10.0, rel=0.1)
-    left = within_contacts(recording, rims, problem.contact_of, 0.08)
+    left = within_contacts(recording, rims, 0.08)
     markers = left.presses[0].gel.markers_mm
     assert 25 <= len(markers) <= 81
     assert np.abs(markers).max() < 5.0
     assert np.abs(markers).max() > 3.0
     assert len(left.presses[0].gel.displacement_mm) == len(markers)
-    with pytest.raises(ConfigError, match="0 markers are within the contact; 6 are needed"):
-        within_contacts(recording, rims, problem.contact_of, 2.0)
+    # A press with few of them is left out.
+    few = recording.presses[0].gel
+    few = replace(few, markers_mm=few.markers_mm[:3] * 0.1, displacement_mm=np.zeros((3, 2)),
+                  deviations_mm=few.deviations_mm[:3])  # fmt: skip
+    presses = (replace(recording.presses[0], gel=few), *recording.presses[1:])
+    fewer = within_contacts(replace(recording, presses=presses, check_units=False), rims, 0.08)
+    assert len(fewer.presses) == 3
+    with pytest.raises(ConfigError, match="no press has 6 markers within its contact"):
+        within_contacts(recording, rims, 2.0)
+
+
+def test_presses_before_first_touch_are_left_out(recording: Recording) -> None:
+    first = recording.presses[0]
+    apart = first.gel.first_pose.copy()
+    apart[:3, 3] -= 0.2 * apart[:3, 2]
+    presses = (replace(first, gel=replace(first.gel, pose=apart)), *recording.presses[1:])
+    kept = pressed(replace(recording, presses=presses, check_units=False), AROUND)
+    assert [press.gel for press in kept.presses] == [p.gel for p in recording.presses[1:]]
 
 
 def test_presses_without_markers_keep_their_result(
@@ -205,14 +235,17 @@ def test_presses_without_markers_keep_their_result(
 ) -> None:
     field, z = field_and_truth(recording)
     result = result_at(field, z)
-    first = recording.presses[0]
-    bare = replace(recording, presses=(replace(first, gel=None), *recording.presses[1:]))
-    assert not has_gels(bare)
+    first, rest = recording.presses[0], recording.presses[1:]
+    none = tuple(replace(press, gel=None) for press in recording.presses)
+    assert through_gel(result, replace(recording, presses=none)) is result
+    assert not caplog.text
+    bare = replace(recording, presses=(replace(first, gel=None, name="bare"), *rest))
     assert through_gel(result, bare) is result
+    assert "press 'bare' and 0 others have no markers" in caplog.text
     # A sensor that turns has no equilibrium here, and the result remains.
     turned = first.gel.pose.copy()
     turned[:3, :3] = turned[:3, :3] @ _turn(0.1)
-    presses = (replace(first, gel=replace(first.gel, pose=turned)), *recording.presses[1:])
+    presses = (replace(first, gel=replace(first.gel, pose=turned)), *rest)
     assert through_gel(result, replace(recording, presses=presses)) is result
     assert "turns by 5.7 degrees after first contact" in caplog.text
 
@@ -220,6 +253,21 @@ def test_presses_without_markers_keep_their_result(
 def _turn(angle: float) -> np.ndarray:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([(c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"material": MaterialSpec("neo_hookean", 0.45, {"lame_factor": 0.5})}, "lame_factor"),
+        ({"material": MaterialSpec("linear", 0.45)}, "material=linear"),
+        ({"density": 1e-9}, "has weight"),
+    ],
+)
+def test_other_laws_and_weight_are_refused(
+    recording: Recording, change: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ConfigError, match=message):
+        GelProblem(replace(recording, **change), AROUND)
 
 
 def test_a_fit_can_be_stopped(recording: Recording, fast: None) -> None:

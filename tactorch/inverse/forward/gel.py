@@ -15,8 +15,9 @@ import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from tactorch.config import to_mapping
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.fem import Supports
+from tactorch.fem import Supports, make_material
 from tactorch.fem.contact.contact import TRIANGLE_POINTS
 from tactorch.fem.contact.pair import PairContact
 from tactorch.inverse.data.nuisance import Nuisance
@@ -40,6 +41,8 @@ from tactorch.sensor.poses import Pose, transform_points
 from tactorch.touch.coupled import Coupled, CoupledState
 from tactorch.touch.pairing import Facing, face_each_other
 
+#: Constitutive law of gel and object.
+GEL_LAW = "neo_hookean"
 _RING = 40  # points along half of the shorter side of a gel, around it
 _MIN_MARKERS = 6  # within a contact
 _MAX_TURN = np.deg2rad(1.0)  # of the sensor between first contact and a press
@@ -86,8 +89,8 @@ class GelEvaluation(Evaluation):
     def uncertain(self, contacts: Sequence[int], readings: Sequence[GelReading]) -> Columns:
         """Return errors that data have in common, each of unit deviation, in deviations of data.
 
-        They are of the gel's modulus, which all presses have in common, and of the pose of each
-        contact.
+        They are of the modulus of each sensor's gel, and of the position along the axis and the
+        tilts of each contact.
 
         Args:
             contacts: Contact of each press.
@@ -100,22 +103,17 @@ class GelEvaluation(Evaluation):
             column, _ = cases[i].times_each(press.coupled.gel_change[None])
             moved = cases[i].linearization.force_response(press.state.motion_forces())
             motions = np.column_stack([cases[i].observe(field) for field in moved])
-            return np.hstack([modulus * column, motions * np.repeat([position, turn], 3)])
+            return np.hstack([modulus * column, motions * [position, turn, turn]])
 
         parts = map_cases(work, len(cases))
-        columns = np.zeros((len(self.data.values), 1 + 6 * (max(contacts) + 1)))
+        layers = [reading.layer.tobytes() for reading in readings]
+        gels = list(dict.fromkeys(layers))
+        columns = np.zeros((len(self.data.values), len(gels) + 3 * (max(contacts) + 1)))
         for i, (begin, part) in enumerate(zip(self._begins, parts, strict=True)):
-            rows, first = slice(begin, begin + len(part)), 1 + 6 * contacts[i]
-            columns[rows, 0], columns[rows, first : first + 6] = part[:, 0], part[:, 1:]
+            rows, first = slice(begin, begin + len(part)), len(gels) + 3 * contacts[i]
+            columns[rows, gels.index(layers[i])] = part[:, 0]
+            columns[rows, first : first + 3] = part[:, 1:]
         return columns * self.data.scale[:, None]
-
-    @property
-    def forces(self) -> list[Float[np.ndarray, "3"]]:
-        """Force of the gel on the object in each press, N, in the axes of the mesh."""
-        return [
-            press.state.contact.pair_forces(press.state.displacement).sum(axis=0)
-            for press in self._presses
-        ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +151,8 @@ class GelProblem(InverseProblem):
 
     Raises:
         ConfigError: A press has no gel, the gel is over no part of the object, the sensor turns
-            during a contact, or supports differ along axes.
+            during a contact, supports differ along axes, or material or weight are not those for
+            which gel and object can be solved together.
     """
 
     def __init__(
@@ -170,6 +169,7 @@ class GelProblem(InverseProblem):
         # Pairs of each press that do not slip, by the first evaluation: a set that changes from one
         # evaluation to the next would change the predictions by leaps.
         self._sticking: dict[int, Bool[np.ndarray, " p"]] = {}
+        _check_material(recording)
         self.readings = [_reading(press) for press in recording.presses]
         groups = _group(recording.presses)
         self.contact_of = [0] * len(recording.presses)
@@ -220,20 +220,30 @@ class GelProblem(InverseProblem):
         presses: list[Any] = map_cases(lambda i: self._solve(i, youngs, given), count)
         return GelEvaluation(youngs, self.assumed, np.zeros((0, 3)), presses, self.data)
 
+    def motion(self, number: int) -> Float[np.ndarray, "3"]:
+        """Return the motion of the sensor in a press from first touch, in its frame, mm."""
+        return self._touched[self.contact_of[number]].motion(number)
+
+    @property
+    def deepest_of_contacts(self) -> list[int]:
+        """Number of the deepest press of each contact."""
+        return [
+            max(contact.numbers, key=lambda i: float(self.motion(i)[2]))
+            for contact in self._touched
+        ]
+
     @property
     def deepest(self) -> list[tuple[int, float]]:
         """For each press the deepest one of its contact, and its own depth over that one's."""
-        found = [(0, 1.0)] * len(self.readings)
-        for contact in self._touched:
-            depths = np.array([motion[2] for motion in contact.motions])
-            last = int(depths.argmax())
-            for number, depth in zip(contact.numbers, depths, strict=True):
-                found[number] = contact.numbers[last], float(depth / depths[last])
+        last, found = self.deepest_of_contacts, []
+        for number, k in enumerate(self.contact_of):
+            share = float(self.motion(number)[2] / self.motion(last[k])[2])
+            found.append((last[k], min(max(share, 0.0), 1.0)))
         return found
 
     def deepest_predicted(self, youngs: Moduli) -> dict[int, Float[np.ndarray, " data"]]:
         """Return the data (mm) of the deepest press of each contact, by its number."""
-        numbers = sorted({number for number, _ in self.deepest})
+        numbers = self.deepest_of_contacts
         nothing = [None] * len(self.readings)
 
         def work(k: int) -> Float[np.ndarray, " data"]:
@@ -254,13 +264,20 @@ class GelProblem(InverseProblem):
         return _GelPress(contact.coupled, state, PressReadings(self._rows[number], None))
 
     def rims(self, evaluation: GelEvaluation) -> list["Rim"]:
-        """Return where each contact ends in its deepest press."""
-        found, deepest = [], self.deepest
-        for contact in self._touched:
-            state = evaluation._presses[deepest[contact.numbers[0]][0]].state
-            touching = state.contact.offsets(state.displacement)[:, 2] < 0.0
-            first = self.readings[contact.numbers[0]].first_pose
-            found.append(Rim.of(contact.gel, state.contact, touching, first))
+        """Return where the contact ends in each press.
+
+        Raises:
+            ConfigError: gel and object are apart in a press; names the press.
+        """
+        found = []
+        for i, press in enumerate(evaluation._presses):
+            contact, reading = press.state.contact, self.readings[i]
+            touching = contact.offsets(press.state.displacement)[:, 2] < 0.0
+            if not touching.any():
+                label = self.recording.presses[i].label
+                raise ConfigError(f"{label}: gel and object are apart; check the pose.")
+            gel = self._touched[self.contact_of[i]].gel
+            found.append(Rim.of(gel, contact, touching, reading.first_pose))
         return found
 
 
@@ -319,35 +336,48 @@ class Rim:
         return lambda points: sizing(transform_points(inverse, points))
 
 
-def within_contacts(
-    recording: Recording, rims: Sequence[Rim], contact_of: Sequence[int], margin: float
-) -> Recording:
+def pressed(recording: Recording, youngs_mpa: float) -> Recording:
+    """Return the presses in which, by their poses, the gel is pressed against the object."""
+    problem = GelProblem(recording, youngs_mpa)
+    kept = tuple(p for i, p in enumerate(recording.presses) if problem.motion(i)[2] > 0.0)
+    return replace(recording, presses=kept, check_units=False)
+
+
+def within_contacts(recording: Recording, rims: Sequence[Rim], margin: float) -> Recording:
     """Return the presses with those markers only that are within their contact.
 
     Beside it, the face of the gel depends on where exactly the contact ends, and at its end the
-    displacement changes within a marker. `margin` is the distance from there over the size.
+    displacement changes within a marker. `margin` is the distance from there over the size. Presses
+    with less than six markers are left out.
 
     Raises:
-        ConfigError: a press has less than `_MIN_MARKERS` markers within its contact.
+        ConfigError: no press has as many markers.
     """
     presses = []
-    for press, k in zip(recording.presses, contact_of, strict=True):
-        reading, rim = _reading(press), rims[k]
+    for press, rim in zip(recording.presses, rims, strict=True):
+        reading = _reading(press)
         kept = rim.outside.query(reading.markers_mm)[0] > margin * rim.size_mm
-        if kept.sum() < _MIN_MARKERS:
-            raise ConfigError(
-                f"{press.label}: {kept.sum()} markers are within the contact; {_MIN_MARKERS} are "
-                "needed."
-            )
-        arrays = ("markers_mm", "displacement_mm", "deviations_mm")
-        left = {name: getattr(reading, name)[kept] for name in arrays}
-        presses.append(replace(press, gel=replace(reading, **left)))
+        if kept.sum() >= _MIN_MARKERS:
+            arrays = ("markers_mm", "displacement_mm", "deviations_mm")
+            left = {name: getattr(reading, name)[kept] for name in arrays}
+            presses.append(replace(press, gel=replace(reading, **left)))
+    if not presses:
+        raise ConfigError(f"no press has {_MIN_MARKERS} markers within its contact.")
     return replace(recording, presses=tuple(presses), check_units=False)
 
 
-def has_gels(recording: Recording) -> bool:
-    """Return whether all presses of a recording have the markers of a gel."""
-    return all(press.gel is not None for press in recording.presses)
+def _check_material(recording: Recording) -> None:
+    """Refuse what gel and object do not have in common, or what the equilibrium leaves out."""
+    law = recording.material
+    own = make_material(law.name, law.poisson, **law.parameters)
+    gel = make_material(GEL_LAW, law.poisson)
+    if type(own) is not type(gel) or to_mapping(own) != to_mapping(gel):
+        raise ConfigError(
+            f"material={law.name} {law.parameters or ''} is not {GEL_LAW} with its default "
+            "parameters, which gel and object have in common."
+        )
+    if recording.density:
+        raise ConfigError("the object has weight, which gel and object do not take into account.")
 
 
 def _reading(press: Press) -> GelReading:

@@ -27,7 +27,7 @@ _POINTS = 4  # along an edge of an element, for its mean modulus
 # Attributes that files hold as they are.
 _STORED = (
     "chi2", "log_odds", "log_odds_any", "errors", "unexplained", "history", "predictive",
-    "at_medians",
+    "at_medians", "through_gel",
 )  # fmt: skip
 
 
@@ -191,6 +191,9 @@ class ShapeReconstruction(Displayed):
         alternatives: Other inclusions that explain the presses about as well, the most probable
             first. Intervals of inclusions include those with as many inclusions; intervals of
             elements and steps are those of the result alone.
+        through_gel: Whether shapes and intervals are fitted through the equilibrium of a sensor's
+            gel and the object. Log-odds, errors, predictive values and alternatives are then those
+            of the search, by the forces of the gel; its alternatives are not in intervals.
     """
 
     field: ShapeField
@@ -209,6 +212,7 @@ class ShapeReconstruction(Displayed):
     predictive: tuple[float | None, ...] = ()
     at_medians: bool = True
     alternatives: tuple[Alternative, ...] = ()
+    through_gel: bool = False
 
     def summary(self) -> str:
         """Return a description of the result in a few lines of text."""
@@ -321,7 +325,7 @@ class ShapeReconstruction(Displayed):
         own = 1.0 - sum(other.probability for other in self.alternatives)
         parts = [InclusionValues.of(self.posterior.field, self.samples, k)]
         centers = [shape.centroid_mm for shape in self.field.shapes(self.estimate)]
-        for other in self.alternatives:
+        for other in () if self.through_gel else self.alternatives:
             count = round(len(self.samples) * other.probability / own)
             if len(other.field.parts) == len(centers) and count:
                 others = [shape.centroid_mm for shape in other.shapes]

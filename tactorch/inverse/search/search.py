@@ -61,6 +61,7 @@ _MAX_MODELS = 10  # one after the other
 _LEAST_PROBABLE = 0.05  # alternative that is reported
 _LEAST_LOG = float(np.log(_LEAST_PROBABLE))
 _OFF = 2.0  # log-evidence of the reduced model, by which it may be wrong about these
+_AGAIN = ", inclusion "  # in the names of proposals that were fitted again without a faint lump
 _MANY = 10.0  # contrast beyond which a provisional answer states none
 
 
@@ -120,17 +121,41 @@ def find_shapes(
             if start is None:
                 _log_provisional(problem)
         model, result = search(problem, limit, start, update, path)
-        update("gel and object")
-        try:
+        if not result.ended:
+            update("gel and object")
+            model, result = _through_gel(problem, limit, model, result, recording)
+        return with_predictions(result, model, recording)
+
+
+def _through_gel(
+    problem: SearchProblem,
+    limit: TimeLimit,
+    model: Model,
+    result: ShapeReconstruction,
+    recording: Recording,
+) -> tuple[Model, ShapeReconstruction]:
+    """Return a model and its result fitted through gel and object, or as they are.
+
+    The search is complete: where the fit is stopped, the result remains.
+    """
+    fitted = result
+
+    def fit(_: int) -> bool:
+        nonlocal fitted
+        with suppress(CancelledError):
             fitted = through_gel(result, recording, limit)
-        except CancelledError as error:
-            error.reached = _state(model)
-            raise
-        if fitted is not result:
-            youngs = ShapesOnSites(fitted.field, problem.sites).at(fitted.z).youngs
-            starts = model.evaluation.displacements
-            model = replace(model, evaluation=problem.full.evaluate(youngs, starts=starts))
-        return with_predictions(fitted, model, recording)
+        return False
+
+    ended = improve(fit, 1, limit)
+    if fitted is result:
+        return model, replace(result, ended=ended)
+    try:
+        youngs = ShapesOnSites(fitted.field, problem.sites).at(fitted.z).youngs
+        evaluation = problem.full.evaluate(youngs, starts=model.evaluation.displacements)
+        return replace(model, evaluation=evaluation), fitted
+    except ConvergenceError as error:
+        _log.warning("Predictions are those of the fit by the forces: %s", error)
+        return model, fitted
 
 
 @dataclass(eq=False)
@@ -160,7 +185,9 @@ class _Path:
         Errors that are linearised about each model would add and remove it in turn.
         """
         adds = len(proposal.field.families) > len(self.state.field.families)
-        return adds and proposal.what in [entry["model"] for entry in self.history]
+        # Without what a proposal became where it was fitted again, see `_challenge`.
+        before = [entry["model"].partition(_AGAIN)[0] for entry in self.history]
+        return adds and proposal.what in before
 
     @contextmanager
     def kept(self) -> Iterator[None]:
@@ -343,12 +370,13 @@ def _challenge(
     with suppress(ConvergenceError), progress_line(proposal.what):
         missing = -proposal.least_gain if rival is None else 0.0
         trial = problem.challenge(proposal, model, missing, rival)
+        fitted[id(first)] = trial.fit
         if faint := faint_inclusions(trial.fit):
             # The rest may explain as much, such as another form beside which a lump was tried.
             rest = less(trial, faint)
             proposal = replace(proposal, what=f"{proposal.what}, {rest.what}")
             trial = problem.challenge(rest, model, missing, rival)
-        fitted[id(first)] = trial.fit
+            fitted[id(first)] = trial.fit
         change = problem.gain(trial.fit, model.fit)
         _log.info("%s: chi2 %.4g, log-evidence %+.4g", proposal.what, trial.fit.chi2, change)
         is_better = rival is None or problem.gain(trial.fit, rival.fit) > 0.0
@@ -383,6 +411,8 @@ def _alternatives(
         gain = proposal.gain
         if (known := fitted.get(id(proposal))) is not None:  # a fit that may have ended early
             gain = max(gain, problem.gain(known, model.fit))
+            if len(known.field.families) < len(proposal.field.families):
+                proposal = replace(proposal, what=f"{proposal.what}, without its faint lump")
             proposal = replace(proposal, field=known.field, z=known.z)
         form = _form(proposal.field)
         handicap = proposal.least_gain / scale - MIN_GAIN * (proposal.field.size <= size)

@@ -13,16 +13,18 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from tactorch.errors import CancelledError, ConfigError, ConvergenceError
+from tactorch.errors import UNCOMPUTABLE, CancelledError
 from tactorch.fem import ELEMENTS
 from tactorch.inverse.data.observations import DataModel
-from tactorch.inverse.fields import ShapeField, Sites, Vector
+from tactorch.inverse.fields import CENTER, ShapeField, Sites, Vector
 from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites, fit_shapes
-from tactorch.inverse.forward.gel import GelEvaluation, GelProblem, Rim, has_gels, within_contacts
+from tactorch.inverse.forward.gel import GelEvaluation, GelProblem, pressed, within_contacts
+from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction
-from tactorch.inverse.search.model import Model, make_posterior
+from tactorch.inverse.search.model import Model, make_posterior, record
 from tactorch.inverse.search.sizing import sharp_edge_sizing, smallest
 from tactorch.mesh import TetMesh
+from tactorch.mesh.refine import Sizing
 from tactorch.recording import Recording, refine_recording
 from tactorch.touch.pairing import ELEMENT
 
@@ -47,6 +49,9 @@ def through_gel(
 
     It is the same result, with a warning, where that is not possible.
 
+    The posterior is normal about the best fit, without ridges. Alternatives remain those by the
+    forces, and are not in intervals.
+
     Args:
         result: Result by the forces of the gel.
         recording: Presses of a sensor with markers.
@@ -55,11 +60,19 @@ def through_gel(
     Raises:
         CancelledError: see `check`.
     """
-    if not has_gels(recording):
+    without = [press.label for press in recording.presses if press.gel is None]
+    if without:
+        if len(without) < len(recording.presses):
+            _log.warning(
+                "Forces are those of the gel alone: %s and %d others have no markers of a gel.",
+                without[0], len(without) - 1,
+            )  # fmt: skip
         return result
     try:
         fit, model, sites = _fitted(result, recording, check)
-    except (ConfigError, ConvergenceError) as error:
+    except CancelledError:
+        raise
+    except UNCOMPUTABLE as error:
         _log.warning("Forces are those of the gel alone, as gel and object have no fit: %s", error)
         return result
     if fit.chi2 > _MAX_CHI2:
@@ -69,16 +82,33 @@ def through_gel(
             fit.chi2,
         )
         return result
-    posterior = make_posterior(model, sites)
-    return replace(result, z=fit.z, posterior=posterior, chi2=fit.chi2)
+    posterior = _with_place(make_posterior(model, sites), recording)
+    history = (*result.history, record("gel and object", fit))
+    return replace(
+        result, z=fit.optimum, posterior=posterior, chi2=fit.chi2, history=history,
+        at_medians=True, through_gel=True,
+    )  # fmt: skip
+
+
+def _with_place(posterior: ShapePosterior, recording: Recording) -> ShapePosterior:
+    """Return the posterior with the error of the sensor's position across its axis.
+
+    It shifts the object under the gel, and markers hardly show it.
+    """
+    position = max(float(press.gel.uncertain[1]) for press in recording.presses if press.gel)
+    covariance = posterior.covariance.copy()
+    for k in range(len(posterior.field.families)):
+        center = posterior.field.index(k, *CENTER)
+        covariance[center, center] += (position / posterior.field.deviation[center]) ** 2
+    return replace(posterior, covariance=covariance)
 
 
 def _fitted(
     result: ShapeReconstruction, recording: Recording, check: Callable[[], bool]
 ) -> tuple[ShapeFit, Model, Sites]:
     typical = result.background_mpa
-    problem, sites = GelProblem(recording, typical), _sites(recording.mesh)
-    field, z = result.field, result.z
+    recording, sites = pressed(recording, typical), _sites(recording.mesh)
+    problem, field, z = GelProblem(recording, typical), result.field, result.z
 
     def go_on() -> None:
         if check():
@@ -91,9 +121,14 @@ def _fitted(
     family = ShapesOnSites(field, sites)
     evaluation = problem.evaluate(family.at(z).youngs)
     rims = problem.rims(evaluation)
-    recording = within_contacts(recording, rims, problem.contact_of, _SHORTEST)
-    problem, correction = GelProblem(recording, typical), _Correction(recording, typical, rims)
-    evaluation = problem.evaluate(family.at(z).youngs, starts=evaluation.displacements)
+    deepest = [rims[number] for number in problem.deepest_of_contacts]
+    sizings = [rim.sizing(_SHORTEST, _GROWTH) for rim in deepest]
+    on_object = [rim.on_object(sizing) for rim, sizing in zip(deepest, sizings, strict=True)]
+    recording = within_contacts(recording, rims, _SHORTEST)
+    go_on()
+    problem = GelProblem(recording, typical)
+    correction = _Correction(recording, typical, sizings, on_object)
+    evaluation = problem.evaluate(family.at(z).youngs)
     fit = None
     for number in range(1, _CORRECTIONS + 1):
         go_on()
@@ -145,11 +180,15 @@ def _with_errors(
 class _Correction:
     """Predictions of a finer mesh, less those of the common one."""
 
-    def __init__(self, recording: Recording, youngs_mpa: float, rims: Sequence[Rim]) -> None:
-        sizings = [rim.sizing(_SHORTEST, _GROWTH) for rim in rims]
-        on_object = [rim.on_object(sizing) for rim, sizing in zip(rims, sizings, strict=True)]
-        on_object.append(sharp_edge_sizing(recording.mesh))
-        fine = refine_recording(recording, smallest(*on_object))
+    def __init__(
+        self,
+        recording: Recording,
+        youngs_mpa: float,
+        sizings: Sequence[Sizing],
+        on_object: Sequence[Sizing],
+    ) -> None:
+        sharp = sharp_edge_sizing(recording.mesh)
+        fine = refine_recording(recording, smallest(*on_object, sharp))
         self._sites = _sites(fine.mesh)
         self._problem = GelProblem(
             fine, youngs_mpa, cells=_CELLS, layers=_LAYERS, gel_sizing=sizings

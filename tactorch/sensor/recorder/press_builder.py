@@ -34,7 +34,8 @@ _POINT_SPACING_MM = 0.5  # on the object's face
 # Error of the displacement of a marker in contact over itself: of the scale, of the centre of a
 # marker that is distorted, and of the finite elements of gel and object. Simulated, they are 0.6 %;
 # those of neighbours are not independent.
-_MARKER_ERROR = 0.01
+_LAW = "neo_hookean"  # of gels that are solved together with the object
+_MARKER_ERROR, _MIN_MARKER_NOISE_MM = 0.01, 3e-4
 _MAX_GAP_MM = 0.5  # at the first frame with contact, without a warning
 
 
@@ -177,11 +178,12 @@ class PressBuilder:
     ) -> GelReading | None:
         """Return the gel and its markers; None where it is not known where it touches the object.
 
-        That is without markers, on an object of unknown shape, and with a limit of friction.
+        That is without markers, on an object of unknown shape, with a limit of friction, and for
+        gels of a law for which objects are not solved together with them.
         """
         tracker, options = self.chain.tracker, self.options
         unknown = not isinstance(self.target, TetMesh) or options.friction is not None
-        if tracker is None or unknown:
+        if tracker is None or unknown or self.chain.sensor.gel.material != _LAW:
             return None
         at, moved = marker_displacements(
             self.chain.sensor, tracker.reference_px, measurement.markers_px
@@ -191,6 +193,7 @@ class PressBuilder:
             return None
         moved = moved[seen, :2]
         noise = noise_mm or self.chain.options.marker_noise_mm
+        noise = max(noise, _MIN_MARKER_NOISE_MM)
         relative = _MARKER_ERROR * np.linalg.norm(moved, axis=1)
         return GelReading(
             self.chain.sensor.gel.numbers, pose, first_pose, at[seen, :2], moved,
