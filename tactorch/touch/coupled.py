@@ -107,7 +107,7 @@ class Coupled:
         poisson = np.repeat([material.poisson, float(layer.poisson)], self.counts)
         law = make_material(layer.material, layer.poisson)
         self.assembly = Assembly(self.parts, law, poisson, self.parts.mesh.points)
-        self.pool = SolverPool(self.parts.pattern)
+        self.forget()
         self.gel_mpa = float(layer.youngs_mpa)
         fixed = np.zeros(body.points.shape, bool) if supports.fixed is None else supports.fixed
         window = np.repeat(gel.on_window[:, None], 3, axis=1)
@@ -123,6 +123,10 @@ class Coupled:
         self.face_rows: Int[np.ndarray, " g"] = np.unique(self.parts.surface_nodes(face))
         corners = body.points[body.surface.triangles[facing.faces[near]]]
         self.body_points = np.einsum("pc,pcd->pd", facing.barycentric[near], corners)
+
+    def forget(self) -> None:
+        """Free the factorisations of earlier solutions, which take gigabytes on fine meshes."""
+        self.pool = SolverPool(self.parts.pattern)
 
     def youngs(self, body: Float[np.ndarray, "m *q"]) -> Float[np.ndarray, "m2 q"]:
         """Return the moduli of all elements' quadrature points from those of the body, MPa."""

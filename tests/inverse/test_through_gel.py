@@ -172,7 +172,7 @@ def test_errors_of_gel_and_pose_are_what_they_change(
 
 @pytest.fixture
 def fast(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in {"_SHORTEST": 0.12, "_CELLS": 12, "_LAYERS": 3, "_CORRECTIONS": 2}.items():
+    for name, value in {"_SHORTEST": 0.12, "_CELLS": 12, "_LAYERS": 3}.items():
         monkeypatch.setattr(module, name, value)
 
 
@@ -195,7 +195,7 @@ def test_a_ball_is_found_from_the_markers(
     radius, contrast = np.exp(found.field.physical(found.z)[-2:])
     assert radius == pytest.approx(RADIUS, rel=0.1)
     assert contrast == pytest.approx(YOUNGS / AROUND, rel=0.35)
-    assert "gel and object, fit 1" in caplog.text
+    assert "gel and object: chi2" in caplog.text
 
 
 def test_markers_within_the_contact_are_used(problem: GelProblem, recording: Recording) -> None:

@@ -248,7 +248,9 @@ class GelProblem(InverseProblem):
 
         def work(k: int) -> Float[np.ndarray, " data"]:
             press = self._solve(numbers[k], youngs, nothing)
-            return press.predicted(self.data.observations[numbers[k]])
+            data = press.predicted(self.data.observations[numbers[k]])
+            self._touched[k].coupled.forget()
+            return data
 
         return dict(zip(numbers, map_cases(work, len(numbers)), strict=True))
 

@@ -31,15 +31,14 @@ from tactorch.touch.pairing import ELEMENT
 _log = logging.getLogger(__name__)
 # Edges of the finer mesh at the end of a contact, over its size, and their growth with the distance
 # from it; cells across and through its gel.
-_SHORTEST, _GROWTH, _CELLS, _LAYERS = 0.08, 0.7, 14, 4
+_SHORTEST, _GROWTH, _CELLS, _LAYERS = 0.12, 0.7, 14, 4
+_MARGIN = 0.08  # distance of markers from the end of the contact, over its size
 # Exponent of the depth with which the difference of both meshes grows: 1.19 for a cube under a gel,
 # which leaves a twelfth of the difference at half of the depth.
 _POWER = 1.2
 _REMAINING = 0.1  # error of the finer mesh, over what it changes
 _TOLERANCE = 0.02  # of fits, see `fit_shapes`
 _MAX_CHI2 = 3.0  # beyond which the equilibrium does not explain the markers
-_CORRECTIONS = 2
-_SAME = 0.5  # change of a parameter that a correction outlasts, in standard deviations
 
 
 def through_gel(
@@ -124,23 +123,16 @@ def _fitted(
     deepest = [rims[number] for number in problem.deepest_of_contacts]
     sizings = [rim.sizing(_SHORTEST, _GROWTH) for rim in deepest]
     on_object = [rim.on_object(sizing) for rim, sizing in zip(deepest, sizings, strict=True)]
-    recording = within_contacts(recording, rims, _SHORTEST)
+    recording = within_contacts(recording, rims, _MARGIN)
     go_on()
     problem = GelProblem(recording, typical)
     correction = _Correction(recording, typical, sizings, on_object)
     evaluation = problem.evaluate(family.at(z).youngs)
-    fit = None
-    for number in range(1, _CORRECTIONS + 1):
-        go_on()
-        offsets = correction.offsets(field, z, evaluation)
-        data = _with_errors(problem, evaluation, offsets)
-        starts = evaluation.displacements
-        fit, evaluation = _fit(problem.with_data(data), field, z, sites, starts, give_up)
-        _log.info("gel and object, fit %d: chi2 %.4g", number, fit.chi2)
-        moved, z = np.abs(fit.z - z) / np.sqrt(np.diag(fit.covariance)), fit.z
-        if moved.max() < _SAME:
-            break
-    assert fit is not None
+    go_on()
+    data = _with_errors(problem, evaluation, correction.offsets(field, z, evaluation))
+    starts = evaluation.displacements
+    fit, evaluation = _fit(problem.with_data(data), field, z, sites, starts, give_up)
+    _log.info("gel and object: chi2 %.4g", fit.chi2)
     return fit, Model(fit, evaluation, result.errors), sites
 
 
