@@ -40,6 +40,7 @@ class Facing:
         values: Their shape functions, negative for the gel.
         faces: Triangle of the body's surface of each pair, among those of the body's mesh.
         barycentric: Place in this triangle.
+        others: Points of the gel's face at rest without one opposite to them, (r, 3), mm.
     """
 
     mesh: PartsMesh
@@ -50,6 +51,7 @@ class Facing:
     values: Float[np.ndarray, "p k"]
     faces: Int[np.ndarray, " p"]
     barycentric: Float[np.ndarray, "p 3"]
+    others: Float[np.ndarray, "r 3"]
 
     @property
     def first_touch(self) -> tuple[Float[np.ndarray, "2"], float]:
@@ -69,11 +71,15 @@ class Facing:
         return Pairs(coupled, *arrays), near
 
 
-def face_each_other(body: TetMesh, shape: Shape | None, gel: GelMesh, pose: Pose) -> Facing | None:
+def face_each_other(
+    body: TetMesh, shape: Shape | None, gel: GelMesh, pose: Pose, divisions: int = 1
+) -> Facing | None:
     """Pair the points of a gel with those of a body opposite to them; None where there are none.
 
     Distances are those of the shape itself, whose surface the mesh of the body follows within its
-    elements, or of the mesh where there is no shape.
+    elements, or of the mesh where there is no shape. Triangles of the gel's face have six points in
+    each part into which `divisions` of their sides divide them: the more there are, the better the
+    area of a contact that ends within triangles is known.
     """
     moved = transform_points(np.linalg.inv(pose), body.points)
     face, shift = gel.mesh.surface, body.n_points
@@ -81,8 +87,9 @@ def face_each_other(body: TetMesh, shape: Shape | None, gel: GelMesh, pose: Pose
     mesh = PartsMesh(np.concatenate([moved, gel.mesh.points]), cells)
     outer = gel.on_face[face.triangles].all(axis=1)
     triangles, areas = face.triangles[outer], face.areas[outer]
-    count = len(TRIANGLE_POINTS)
-    points = np.einsum("pc,tcd->tpd", TRIANGLE_POINTS, gel.mesh.points[triangles]).reshape(-1, 3)
+    rule, weights = _divided(divisions)
+    count = len(rule)
+    points = np.einsum("pc,tcd->tpd", rule, gel.mesh.points[triangles]).reshape(-1, 3)
     # Elements have straight sides; the gaps are those of the face itself.
     points[:, 2] = gel.layer.height_mm(points[:, :2])
     hits = first_hits(moved, body.surface.triangles, points[:, :2])
@@ -92,18 +99,32 @@ def face_each_other(body: TetMesh, shape: Shape | None, gel: GelMesh, pose: Pose
         return None
     nodes, values = _interpolation(
         mesh, body.surface.triangles[hits.triangles[rows]], hits.barycentric[rows],
-        triangles[rows // count] + shift, TRIANGLE_POINTS[rows % count],
+        triangles[rows // count] + shift, rule[rows % count],
     )  # fmt: skip
     return Facing(
         mesh,
         points[rows],
         heights[rows] - points[rows, 2],
-        areas[rows // count] * TRIANGLE_WEIGHTS[rows % count],
+        areas[rows // count] * weights[rows % count],
         nodes,
         values,
         hits.triangles[rows],
         hits.barycentric[rows],
+        np.delete(points, rows, axis=0),
     )
+
+
+def _divided(divisions: int) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, " p"]]:
+    """Return barycentric points and weights of a triangle whose sides are divided."""
+    steps = range(divisions)
+    up = [(i, j, 1) for i in steps for j in steps if i + j < divisions]
+    down = [(i + 1, j + 1, -1) for i in steps for j in steps if i + j < divisions - 1]
+    points = []
+    for i, j, sign in up + down:
+        corners = np.array([(i, j), (i + sign, j), (i, j + sign)]) / divisions
+        first = np.column_stack([corners, 1.0 - corners.sum(axis=1)])
+        points.append(TRIANGLE_POINTS @ first)
+    return np.concatenate(points), np.tile(TRIANGLE_WEIGHTS, len(points)) / divisions**2
 
 
 def _interpolation(

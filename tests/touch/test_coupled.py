@@ -35,7 +35,7 @@ def on_cube(
     assert facing is not None
     material = MaterialSpec("neo_hookean", poisson)
     return Coupled(
-        facing, cube, gel, material, Supports(fixed=fixed), body_mpa=0.2, depth_mm=1.0, rtol=1e-10
+        facing, cube, gel, material, Supports(fixed=fixed), body_mpa=0.2, depth_mm=1.0, rtol=1e-8
     )
 
 
@@ -106,6 +106,20 @@ def test_tilts_change_how_far_pairs_penetrate(coupled: Callable[[str], Coupled])
         by_hand = np.column_stack([0.0 * along, 0.0 * along, springs[:, 2] * along])
         np.testing.assert_allclose(found, state.contact.pairs.spread(by_hand))
     np.testing.assert_allclose(forces.sum(axis=1), 0.0, atol=1e-9 * np.abs(forces).max())
+
+
+def test_divided_triangles_know_the_area_of_a_contact_better() -> None:
+    """A cube of 10 mm ends within triangles of a wider gel."""
+    cube, gel = box_mesh(10.0, 4), GelMesh(replace(LAYER, size_mm=(16.0, 16.0)), 1.6, 2)
+    found = []
+    for divisions in (1, 4):
+        facing = face_each_other(cube, None, gel, above(10.0), divisions)
+        assert facing is not None
+        found.append(float(facing.areas_mm2.sum()))
+        assert len(facing.points) + len(facing.others) == 200 * 6 * divisions**2
+        assert np.abs(facing.points[:, :2]).max() < 5.0 < np.abs(facing.others[:, :2]).max()
+    assert abs(found[1] - 100.0) < 0.5 * abs(found[0] - 100.0)
+    assert found[1] == pytest.approx(100.0, rel=0.03)
 
 
 @pytest.mark.parametrize(("cells", "matches"), [(8, True), (7, False)])

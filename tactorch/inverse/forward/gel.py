@@ -18,8 +18,7 @@ from scipy.spatial import cKDTree
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import Supports, make_material
-from tactorch.fem.contact.contact import TRIANGLE_POINTS
-from tactorch.fem.contact.pair import PairContact
+from tactorch.fem.contact.pair import Pairs
 from tactorch.inverse.data.nuisance import Nuisance
 from tactorch.inverse.data.observations import DataModel, Observation
 from tactorch.inverse.forward.probes import PressReadings
@@ -43,6 +42,8 @@ from tactorch.touch.pairing import Facing, face_each_other
 
 #: Constitutive law of gel and object.
 GEL_LAW = "neo_hookean"
+_DIVISIONS = 3  # of the sides of the gel's triangles, see `face_each_other`
+_APART = 0.01  # distance of points that touch, over the depth
 _RING = 40  # points along half of the shorter side of a gel, around it
 _MIN_MARKERS = 6  # within a contact
 _MAX_TURN = np.deg2rad(1.0)  # of the sensor between first contact and a press
@@ -274,12 +275,14 @@ class GelProblem(InverseProblem):
         found = []
         for i, press in enumerate(evaluation._presses):
             contact, reading = press.state.contact, self.readings[i]
-            touching = contact.offsets(press.state.displacement)[:, 2] < 0.0
+            # Between meshes that do not match, single points within a contact are just apart.
+            least = _APART * float(self.motion(i)[2])
+            touching = contact.offsets(press.state.displacement)[:, 2] < least
             if not touching.any():
                 label = self.recording.presses[i].label
                 raise ConfigError(f"{label}: gel and object are apart; check the pose.")
-            gel = self._touched[self.contact_of[i]].gel
-            found.append(Rim.of(gel, contact, touching, reading.first_pose))
+            owner = self._touched[self.contact_of[i]]
+            found.append(Rim.of(owner, contact.pairs, touching, reading.first_pose))
         return found
 
 
@@ -301,18 +304,17 @@ class Rim:
 
     @staticmethod
     def of(
-        gel: GelMesh, contact: PairContact, touching: Bool[np.ndarray, " p"], pose: Pose
+        contact: "_Contact", pairs: Pairs, touching: Bool[np.ndarray, " p"], pose: Pose
     ) -> "Rim":
         """Return the rim of a contact by the points of the gel's face that touch."""
-        pairs, corners = contact.pairs, gel.face_points[gel.face_triangles]
-        inside = cKDTree(pairs.points[touching, :2])
-        face = np.einsum("pc,tcd->tpd", TRIANGLE_POINTS, corners).reshape(-1, 3)[:, :2]
-        half = np.array(gel.layer.half_size_mm)
+        inside, facing = cKDTree(pairs.points[touching, :2]), contact.facing
+        face = np.concatenate([facing.points, facing.others])[:, :2]
+        half = np.array(contact.gel.layer.half_size_mm)
         step = float(half.min()) / _RING
         axes = [np.arange(-h - 2.0 * step, h + 3.0 * step, step) for h in half]
         around = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
         apart = face[inside.query(face)[0] > 1e-6 * step]
-        outside = np.concatenate([apart, around[~gel.layer.covers(around)]])
+        outside = np.concatenate([apart, around[~contact.gel.layer.covers(around)]])
         size = float(np.sqrt(pairs.areas_mm2[touching].sum()))
         return Rim(inside, cKDTree(outside), pose, size)
 
@@ -413,7 +415,7 @@ def _make_contact(
     gel = GelMesh(layer, shorter / cells[0], cells[1])
     if sizing is not None:
         gel = gel.refined(sizing)
-    facing = face_each_other(mesh, None, gel, reading.first_pose)
+    facing = face_each_other(mesh, None, gel, reading.first_pose, _DIVISIONS)
     if facing is None:
         raise ConfigError(f"{first.label}: the gel is over no part of the object; check its pose.")
     motions = [_motion(recording.presses[i], facing) for i in numbers]

@@ -31,7 +31,7 @@ from tactorch.touch.pairing import ELEMENT
 _log = logging.getLogger(__name__)
 # Edges of the finer mesh at the end of a contact, over its size, and their growth with the distance
 # from it; cells across and through its gel.
-_SHORTEST, _GROWTH, _CELLS, _LAYERS = 0.12, 0.7, 14, 4
+_SHORTEST, _GROWTH, _CELLS, _LAYERS = 0.15, 0.7, 14, 4
 _MARGIN = 0.08  # distance of markers from the end of the contact, over its size
 # Exponent of the depth with which the difference of both meshes grows: 1.19 for a cube under a gel,
 # which leaves a twelfth of the difference at half of the depth.
