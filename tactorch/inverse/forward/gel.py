@@ -14,6 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from tactorch.config import to_mapping
 from tactorch.errors import ConfigError, ConvergenceError
@@ -36,6 +37,7 @@ from tactorch.mesh.refine import Sizing
 from tactorch.recording import GelReading, Press, Recording
 from tactorch.sensor.description import GelLayer
 from tactorch.sensor.gel import GelMesh
+from tactorch.sensor.gel.face import edge_sizing
 from tactorch.sensor.poses import Pose, transform_points
 from tactorch.touch.coupled import Coupled, CoupledState
 from tactorch.touch.pairing import Facing, face_each_other
@@ -74,18 +76,8 @@ class GelEvaluation(Evaluation):
 
     _presses: list[_GelPress]  # type: ignore[assignment]
 
-    def _padded(self, changes: Changes, number: int) -> Changes:
+    def _of_press(self, changes: Changes, number: int) -> Changes:
         return self._presses[number].coupled.body_changes(changes)
-
-    def _respond(self, changes: Changes) -> tuple[Columns, list[np.ndarray]]:
-        cases = self.sensitivities
-
-        def work(i: int) -> tuple[np.ndarray, np.ndarray]:
-            columns, fields = cases[i].times_each(self._padded(changes, i))
-            return columns, np.array(fields)
-
-        columns, fields = zip(*map_cases(work, len(cases)), strict=True)
-        return np.concatenate(columns), list(fields)
 
     def uncertain(self, contacts: Sequence[int], readings: Sequence[GelReading]) -> Columns:
         """Return errors that data have in common, each of unit deviation, in deviations of data.
@@ -295,12 +287,14 @@ class Rim:
         outside: Points of the face that are not, and points around it.
         pose: T_object_sensor at first contact.
         size_mm: Side of a square of the area of the contact, mm.
+        layer: The gel.
     """
 
     inside: cKDTree
     outside: cKDTree
     pose: Float[np.ndarray, "4 4"]
     size_mm: float
+    layer: GelLayer
 
     @staticmethod
     def of(
@@ -316,19 +310,14 @@ class Rim:
         apart = face[inside.query(face)[0] > 1e-6 * step]
         outside = np.concatenate([apart, around[~contact.gel.layer.covers(around)]])
         size = float(np.sqrt(pairs.areas_mm2[touching].sum()))
-        return Rim(inside, cKDTree(outside), pose, size)
+        return Rim(inside, cKDTree(outside), pose, size, contact.gel.layer)
 
-    def sizing(self, shortest: float, growth: float) -> Sizing:
+    def sizing(self, shortest: float) -> Sizing:
         """Return longest edges (mm) at points (mm) of the sensor's frame.
 
         They grow with the distance from the rim, from `shortest` times the size of the contact.
         """
-
-        def sizes(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
-            away = np.hypot(self.distances(points[:, :2]), points[:, 2])
-            return np.maximum(growth * away, shortest * self.size_mm)
-
-        return sizes
+        return edge_sizing(self.distances, shortest * self.size_mm, self.layer)
 
     def distances(self, points: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, " k"]:
         """Return the distances of points of the face from the rim, mm."""
@@ -443,7 +432,7 @@ def _motion(press: Press, facing: Facing) -> Float[np.ndarray, "3"]:
     """Return the motion of the sensor from first touch, in its frame, mm."""
     reading = _reading(press)
     relative = np.linalg.inv(reading.first_pose) @ reading.pose
-    turn = np.arccos(np.clip((np.trace(relative[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
+    turn = float(Rotation.from_matrix(relative[:3, :3]).magnitude())
     if turn > _MAX_TURN:
         raise ConfigError(
             f"{press.label}: the sensor turns by {np.rad2deg(turn):.1f} degrees after first "

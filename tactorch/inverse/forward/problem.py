@@ -266,12 +266,16 @@ class Evaluation:
         columns = self._response.columns * self.data.scale[:, None]
         return self._of_residuals(columns), self._response.fields
 
+    def _of_press(self, changes: Changes, number: int) -> Changes:
+        """Return changes of the moduli of all elements that a press has."""
+        return changes
+
     def _respond(self, changes: Changes) -> tuple[Columns, list[NodalFields]]:
         """Return the changes of the data (mm or N), and of the displacements of each press (mm)."""
         cases = self.sensitivities
 
         def work(i: int) -> tuple[np.ndarray, np.ndarray]:
-            columns, fields = cases[i].times_each(changes)
+            columns, fields = cases[i].times_each(self._of_press(changes, i))
             return columns, np.array(fields)
 
         columns, fields = zip(*map_cases(work, len(cases)), strict=True)

@@ -29,9 +29,8 @@ from tactorch.recording import Recording, refine_recording
 from tactorch.touch.pairing import ELEMENT
 
 _log = logging.getLogger(__name__)
-# Edges of the finer mesh at the end of a contact, over its size, and their growth with the distance
-# from it; cells across and through its gel.
-_SHORTEST, _GROWTH, _CELLS, _LAYERS = 0.15, 0.7, 14, 4
+# Edges of the finer mesh at the end of a contact, over its size; cells across and through its gel.
+_SHORTEST, _CELLS, _LAYERS = 0.15, 14, 4
 _MARGIN = 0.08  # distance of markers from the end of the contact, over its size
 # Exponent of the depth with which the difference of both meshes grows: 1.19 for a cube under a gel,
 # which leaves a twelfth of the difference at half of the depth.
@@ -121,7 +120,7 @@ def _fitted(
     evaluation = problem.evaluate(family.at(z).youngs)
     rims = problem.rims(evaluation)
     deepest = [rims[number] for number in problem.deepest_of_contacts]
-    sizings = [rim.sizing(_SHORTEST, _GROWTH) for rim in deepest]
+    sizings = [rim.sizing(_SHORTEST) for rim in deepest]
     on_object = [rim.on_object(sizing) for rim, sizing in zip(deepest, sizings, strict=True)]
     recording = within_contacts(recording, rims, _MARGIN)
     go_on()
