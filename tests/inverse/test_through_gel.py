@@ -178,8 +178,9 @@ def fast(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.xfail(
-    reason="Simulated touch has six points a triangle of the gel, so that the area in contact of "
-    "these presses is off where it ends; the radius is 0.05 mm outside its interval."
+    reason="The intervals of radius and modulus are too narrow, for a reason that is not known: the "
+    "posterior has no ridges, and the mesh of the presses may be too coarse. A finer division of "
+    "the contact in both is not enough."
 )
 def test_a_ball_is_found_from_the_markers(
     solved: Recording, fast: None, caplog: pytest.LogCaptureFixture

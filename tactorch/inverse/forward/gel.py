@@ -44,7 +44,6 @@ from tactorch.touch.pairing import Facing, face_each_other
 
 #: Constitutive law of gel and object.
 GEL_LAW = "neo_hookean"
-_DIVISIONS = 3  # of the sides of the gel's triangles, see `face_each_other`
 _APART = 0.01  # distance of points that touch, over the depth
 _RING = 40  # points along half of the shorter side of a gel, around it
 _MIN_MARKERS = 6  # within a contact
@@ -404,7 +403,7 @@ def _make_contact(
     gel = GelMesh(layer, shorter / cells[0], cells[1])
     if sizing is not None:
         gel = gel.refined(sizing)
-    facing = face_each_other(mesh, None, gel, reading.first_pose, _DIVISIONS)
+    facing = face_each_other(mesh, None, gel, reading.first_pose)
     if facing is None:
         raise ConfigError(f"{first.label}: the gel is over no part of the object; check its pose.")
     motions = [_motion(recording.presses[i], facing) for i in numbers]
