@@ -178,9 +178,9 @@ def fast(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.xfail(
-    reason="The intervals of radius and modulus are too narrow, for a reason that is not known: the "
-    "posterior has no ridges, and the mesh of the presses may be too coarse. A finer division of "
-    "the contact in both is not enough."
+    reason="The intervals of radius and modulus are too narrow, for a reason that is not known. "
+    "The posterior has no ridges, and the mesh of the presses may be too coarse. A finer division "
+    "of the contact in both is not enough."
 )
 def test_a_ball_is_found_from_the_markers(
     solved: Recording, fast: None, caplog: pytest.LogCaptureFixture
