@@ -23,7 +23,7 @@ from tactorch.inverse.fields import (
 )
 from tactorch.inverse.fields.tube import RING
 from tactorch.inverse.fit.monitor import StopReason
-from tactorch.inverse.fit.shapes import Evidence, ShapeFit
+from tactorch.inverse.fit.shapes import ShapeFit
 from tactorch.inverse.forward.problem import Evaluation
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction
@@ -117,10 +117,12 @@ def test_groups_that_no_model_explains_count_less() -> None:
     assert weights[groups == 0] == pytest.approx(1.0 / max(1.0, float(np.mean(noise[:50] ** 2))))
     assert weights[groups == 1] == pytest.approx(1.0 / np.mean(wrong[50:] ** 2))
     better = wrong - 0.5 * np.where(groups == 0, noise, 0.0)
-    change = gain(Evidence(better, 1.0), Evidence(wrong, 0.0), groups)
+    pairs = ((better, 1.0), (wrong, 0.0))
+    fits = [Mock(spec=ShapeFit, residuals=r, complexity=c) for r, c in pairs]
+    change = gain(*fits, groups)
     squares = float(np.sum(wrong[:50] ** 2 - better[:50] ** 2))
     assert change == pytest.approx(0.5 * squares - 1.0, rel=0.2)
-    assert change > 10.0 * (gain(Evidence(better, 1.0), Evidence(wrong, 0.0)) + 1.0)
+    assert change > 10.0 * (gain(*fits) + 1.0)
 
 
 def test_a_session_gives_up_a_ball_that_further_presses_contradict(

@@ -117,43 +117,15 @@ class _ShapesPoint(FieldPoint):
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
-    """Evidence of a model, by the Laplace approximation.
-
-    Attributes:
-        residuals: Residuals of all data.
-        complexity: Minus the logarithm of the evidence but for the residuals.
-    """
-
-    residuals: Float[np.ndarray, " data"]
-    complexity: float
-
-    @property
-    def misfit(self) -> float:
-        """Half the sum of squared residuals."""
-        return 0.5 * float(self.residuals @ self.residuals)
-
-    @property
-    def chi2(self) -> float:
-        """Mean squared residual, in standard deviations."""
-        return 2.0 * self.misfit / len(self.residuals)
-
-    def log_evidence(self, inflation: float = 1.0) -> float:
-        """Return the log-evidence where the variance of the noise is `inflation` times as large.
-
-        The determinant is that of the stated noise.
-        """
-        return -self.misfit / inflation - self.complexity
-
-
-@dataclass(frozen=True, eq=False)
-class ShapeFit(Evidence):
-    """Shapes fitted to presses, with their posterior and evidence.
+class ShapeFit:
+    """Shapes fitted to presses, with their posterior and evidence by the Laplace approximation.
 
     The complexity is minus the log-density of the prior, see `ShapeField.penalty`, and half the
     logarithm of the determinants of the posterior precision and of the covariance of the data.
 
     Attributes:
+        residuals: Residuals of all data.
+        complexity: Minus the logarithm of the evidence but for the residuals.
         field: The family of the shapes and the prior of its parameters.
         z: Parameters, in standard deviations of the prior.
         covariance: Their posterior covariance, for the stated noise.
@@ -162,6 +134,8 @@ class ShapeFit(Evidence):
             that step is long or does not lower the objective.
     """
 
+    residuals: Float[np.ndarray, " data"]
+    complexity: float
     field: ShapeField
     z: Float[np.ndarray, " size"]
     covariance: Float[np.ndarray, "size size"]
@@ -183,6 +157,23 @@ class ShapeFit(Evidence):
             residuals, point.penalty + 0.5 * determinant, point.field.shapes, z,
             np.linalg.inv(hessian), jacobian, z if optimum is None else optimum,
         )  # fmt: skip
+
+    @property
+    def misfit(self) -> float:
+        """Half the sum of squared residuals."""
+        return 0.5 * float(self.residuals @ self.residuals)
+
+    @property
+    def chi2(self) -> float:
+        """Mean squared residual, in standard deviations."""
+        return 2.0 * self.misfit / len(self.residuals)
+
+    def log_evidence(self, inflation: float = 1.0) -> float:
+        """Return the log-evidence where the variance of the noise is `inflation` times as large.
+
+        The determinant is that of the stated noise.
+        """
+        return -self.misfit / inflation - self.complexity
 
     @property
     def predicted_fall(self) -> float:

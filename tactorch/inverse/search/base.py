@@ -13,7 +13,7 @@ from tactorch.errors import CancelledError
 from tactorch.inverse.data.observations import DataModel
 from tactorch.inverse.errors import ErrorModel, Levels
 from tactorch.inverse.fields import ShapeField, ShapePrior, Sites
-from tactorch.inverse.fit.shapes import Evidence, ShapeFit, ShapesOnSites, fit_shapes
+from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites, fit_shapes
 from tactorch.inverse.forward.palpation import contacts_of
 from tactorch.inverse.forward.problem import Evaluation, InverseProblem
 from tactorch.inverse.forward.reduced import ReducedProblem
@@ -156,7 +156,7 @@ class SearchProblem(ABC):
         field, z = result.field.changed(result.z, prior=self.prior)
         return Start("the model before", field, z, self.errors.at_least(result.errors))
 
-    def gain(self, fit: Evidence, rival: Evidence) -> float:
+    def gain(self, fit: ShapeFit, rival: ShapeFit) -> float:
         """Return the log-evidence of a fit over that of another one, see `gain`."""
         return gain(fit, rival, self.groups)
 

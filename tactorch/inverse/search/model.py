@@ -23,7 +23,7 @@ from tactorch.inverse.fields import (
     Vector,
 )
 from tactorch.inverse.fit.monitor import StopReason
-from tactorch.inverse.fit.shapes import Evidence, ShapeFit, ShapesOnSites
+from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites
 from tactorch.inverse.forward.predictions import Predictions
 from tactorch.inverse.forward.problem import Evaluation
 from tactorch.inverse.posterior.shapes import ShapePosterior
@@ -90,7 +90,7 @@ class Model:
     errors: Levels
 
 
-def gain(fit: Evidence, rival: Evidence, groups: Int[np.ndarray, " data"] | None = None) -> float:
+def gain(fit: ShapeFit, rival: ShapeFit, groups: Int[np.ndarray, " data"] | None = None) -> float:
     """Return the log-evidence of a fit over that of another one.
 
     They are compared at the noise of the one that explains the data better, but at least at the
@@ -99,7 +99,7 @@ def gain(fit: Evidence, rival: Evidence, groups: Int[np.ndarray, " data"] | None
     return weighted_gain(fit, rival, noise_weights(groups, fit.residuals, rival.residuals))
 
 
-def weighted_gain(fit: Evidence, rival: Evidence, weights: Float[np.ndarray, " data"]) -> float:
+def weighted_gain(fit: ShapeFit, rival: ShapeFit, weights: Float[np.ndarray, " data"]) -> float:
     """Return the log-evidence of a fit over that of another one, where data have weights."""
     misfit = 0.5 * float(weights @ (rival.residuals**2 - fit.residuals**2))
     return misfit + rival.complexity - fit.complexity
