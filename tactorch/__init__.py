@@ -5,11 +5,8 @@ they load on first use, so that `import tactorch` is fast.
 """
 
 import os
-from collections.abc import Callable
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
-
-from tactorch.display import VIEWS
 
 # Threads that wait for work sleep, as other processes may use the cores. The libraries read these
 # variables when they are loaded.
@@ -78,17 +75,3 @@ def __getattr__(name: str) -> Any:
 def __dir__() -> list[str]:
     """List the public names."""
     return sorted(__all__)
-
-
-def _later(home: str, name: str) -> Callable[..., Any]:
-    """Return a function whose module is imported when it is called."""
-    return lambda *given, **options: getattr(import_module(home), name)(*given, **options)
-
-
-_VIEWS = {
-    "tactorch.viz.figures": ("make_figure", "make_html"),
-    "tactorch.viz.solid": ("to_pyvista", "show"),
-    "tactorch.report": ("report_of",),
-    "tactorch.inverse.result.text": ("summarize",),
-}
-VIEWS.update({name: _later(home, name) for home, names in _VIEWS.items() for name in names})

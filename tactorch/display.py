@@ -1,7 +1,7 @@
 """Text and pictures of an object, in notebooks and scripts."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,9 +9,20 @@ if TYPE_CHECKING:
     import pyvista
     from matplotlib.figure import Figure
 
-#: Functions that show an object: `make_figure`, `make_html`, `to_pyvista`, `show`, `report_of` and
-#: `summarize`. The package registers them, as they are in modules that import the objects.
-VIEWS: dict[str, Callable[..., Any]] = {}
+# Modules of the functions that show an object; they import the objects, so that they load late.
+_HOMES = {
+    "make_figure": "tactorch.viz.figures",
+    "make_html": "tactorch.viz.figures",
+    "to_pyvista": "tactorch.viz.solid",
+    "show": "tactorch.viz.solid",
+    "report_of": "tactorch.report",
+    "summarize": "tactorch.inverse.result.text",
+}
+
+
+def view(name: str, *given: Any, **options: Any) -> Any:
+    """Call a function that shows an object."""
+    return getattr(import_module(_HOMES[name]), name)(*given, **options)
 
 
 class Summarized(ABC):
@@ -34,7 +45,7 @@ class Displayed(Summarized):
 
     def plot(self, **options: Any) -> "Figure":
         """Return a figure. `tactorch.viz.figures` lists figures and options for each type."""
-        figure: Figure = VIEWS["make_figure"](self, **options)
+        figure: Figure = view("make_figure", self, **options)
         return figure
 
     def to_pyvista(self) -> "pyvista.DataObject":
@@ -43,7 +54,7 @@ class Displayed(Summarized):
         Raises:
             ConfigError: PyVista is not installed.
         """
-        return VIEWS["to_pyvista"](self)
+        return view("to_pyvista", self)
 
     def show(self, *, screenshot: str | Path | None = None, **options: Any) -> None:
         """Show the object in three dimensions with PyVista.
@@ -55,9 +66,9 @@ class Displayed(Summarized):
         Raises:
             ConfigError: PyVista is not installed, or there is no window system, notebook or file.
         """
-        VIEWS["show"](self, screenshot, **options)
+        view("show", self, screenshot, **options)
 
     def _repr_html_(self) -> str:
         """Return the summary and the figure for a notebook."""
-        text: str = VIEWS["make_html"](self)
+        text: str = view("make_html", self)
         return text

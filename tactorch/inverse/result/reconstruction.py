@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.display import VIEWS, Displayed
+from tactorch.display import Displayed, view
 from tactorch.errors import ConfigError, MeshError
 from tactorch.hdf5 import (
     Hdf5Reader,
@@ -236,7 +236,7 @@ class Reconstruction(Displayed):
 
     def summary(self) -> str:
         """Return a description of the result in a few lines of text."""
-        return VIEWS["summarize"](self)
+        return view("summarize", self)
 
     def report(
         self, path: str | Path, recording: "Recording | None" = None, **options: Any
@@ -248,7 +248,7 @@ class Reconstruction(Displayed):
             recording: Presses of the inversion. Without them the report has only the field.
             options: Options of `tactorch.report.write_report`.
         """
-        return VIEWS["report_of"](self, path, recording, **options)
+        return view("report_of", self, path, recording, **options)
 
     def save(self, path: str | Path) -> Path:
         """Write to HDF5 atomically."""
