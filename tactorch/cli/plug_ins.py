@@ -9,12 +9,10 @@ import os
 import subprocess
 import sys
 from collections.abc import Mapping
-from importlib.metadata import entry_points
 from typing import Any
 
-from tactorch.config.registry import REGISTRIES, origin
+from tactorch.config.registry import GROUPS, REGISTRIES, entry_points, origin
 
-_PREFIX = "tactorch."  # of the groups of entry points
 _LIMIT_S = 5.0  # of an import
 _START_S = 60.0  # of tactorch itself
 _RESULT = "tactorch plug-in: "
@@ -24,10 +22,8 @@ _TIMEOUT = "Timeout ("  # as faulthandler begins
 def installed() -> dict[str, list[Any]]:
     """Return the entry points for tactorch by distribution and import path."""
     found: dict[str, list[Any]] = {}
-    entries = entry_points()
-    for group in sorted(group for group in entries.groups if group.startswith(_PREFIX)):
-        for entry in entries.select(group=group):
-            found.setdefault(origin(entry), []).append(entry)
+    for entry in entry_points():
+        found.setdefault(origin(entry), []).append(entry)
     return found
 
 
@@ -37,7 +33,7 @@ def check(plugins: Mapping[str, list[Any]]) -> dict[str, str]:
     One that ends its process, or does not end, is followed by another process for the rest.
     """
     names = {
-        key: [f"{entry.group.removeprefix(_PREFIX)}={entry.name}" for entry in entries]
+        key: [f"{entry.group.removeprefix(GROUPS)}={entry.name}" for entry in entries]
         for key, entries in plugins.items()
     }
     found: dict[str, str] = {}

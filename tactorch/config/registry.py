@@ -11,6 +11,8 @@ from typing import Any
 
 from tactorch.errors import ConfigError
 
+#: Start of the names of groups of entry points; the section follows.
+GROUPS = "tactorch."
 #: Text of a required value in a configuration file.
 NO_VALUE = "???"
 #: All registries by section, in the order in which they were made.
@@ -150,19 +152,16 @@ class Registry:
         return self[name].from_mapping(values, section, f"{section}={name}")
 
     def _plugins(self) -> dict[str, Any]:
-        return {entry.name: entry for entry in entry_points(group=f"tactorch.{self.section}")}
+        group = f"{GROUPS}{self.section}"
+        return {entry.name: entry for entry in entry_points() if entry.group == group}
 
 
 @cache
-def entry_points(group: str) -> metadata.EntryPoints:
-    """Return the entry points of a group as the process finds them first, without importing any."""
-    found: metadata.EntryPoints = _installed().select(group=group)
-    return found
-
-
-@cache
-def _installed() -> Any:
-    return metadata.entry_points()
+def entry_points() -> tuple[metadata.EntryPoint, ...]:
+    """Return those for tactorch, by group, as the process finds them first; none is imported."""
+    found = metadata.entry_points()
+    groups = sorted(group for group in found.groups if group.startswith(GROUPS))
+    return tuple(entry for group in groups for entry in found.select(group=group))
 
 
 def package(entry: Any) -> str:

@@ -8,16 +8,14 @@ import inspect
 import os
 import sys
 from importlib import import_module
-from importlib.metadata import entry_points
 from typing import Any
 
 from tactorch.config.options import Options
-from tactorch.config.registry import Registry
+from tactorch.config.registry import Registry, entry_points
 from tactorch.errors import ConfigError
 
 #: Key of the import path, as in configurations of Hydra.
 TARGET = "_target_"
-_GROUPS = "tactorch."  # of entry points
 _trusted: set[str] = {"tactorch"}
 
 
@@ -40,7 +38,8 @@ def load_target(path: Any, registry: Registry, where: str) -> type[Options]:
     """
     module, name = _split(path, where)
     package = module.partition(".")[0]
-    if package not in _trusted and package not in _installed():
+    installed = {entry.value.partition(":")[0].partition(".")[0] for entry in entry_points()}
+    if package not in _trusted | installed:
         raise ConfigError(
             f"'{where}' sets {TARGET}: {path}, and the package '{package}' is not trusted; add "
             f"--trust {package} if you trust its code."
@@ -71,11 +70,3 @@ def _split(path: Any, where: str) -> tuple[str, str]:
             f"'{where}': {TARGET}: {path!r}: give MODULE.CLASS, as my_lab.priors.Mine."
         )
     return module, name
-
-
-def _installed() -> set[str]:
-    """Packages that have entry points of tactorch."""
-    found = entry_points()
-    groups = (group for group in found.groups if group.startswith(_GROUPS))
-    return {entry.value.partition(".")[0].partition(":")[0]
-            for group in groups for entry in found.select(group=group)}  # fmt: skip

@@ -5,7 +5,6 @@ import inspect
 import os
 import sys
 from collections.abc import Iterator
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -59,9 +58,10 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     folder = tmp_path / "site"
     folder.mkdir()
     monkeypatch.syspath_prepend(folder)
-    monkeypatch.setattr(registry, "entry_points", entry_points)  # other tests share one result
+    registry.entry_points.cache_clear()  # other tests share one result
     monkeypatch.setattr(schema, "_code_key", inspect.unwrap(schema._code_key))
     yield folder
+    registry.entry_points.cache_clear()
     for name in [name for name in sys.modules if name.startswith("plug_")]:
         del sys.modules[name]
 

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Iterator
 from importlib import import_module
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -132,5 +133,6 @@ def test_colons_separate_the_class_too(conf: Path) -> None:
 def test_installed_packages_with_entry_points_are_trusted(
     conf: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(targets, "_installed", lambda: {"mylab_priors"})
+    entry = EntryPoint("mine", "mylab_priors.priors:Mine", "tactorch.regularization")
+    monkeypatch.setattr(targets, "entry_points", lambda: [entry])
     assert targets.load_target("mylab_priors.priors.Mine", PRIORS, "x").__name__ == "Mine"

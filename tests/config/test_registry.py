@@ -25,8 +25,7 @@ def test_installed_packages_are_searched_once(monkeypatch: pytest.MonkeyPatch) -
         return EntryPoints()
 
     monkeypatch.setattr(module.metadata, "entry_points", search)
-    for cached in (module.entry_points, module._installed):
-        monkeypatch.setattr(module, cached.__name__, cache(cached.__wrapped__))
+    monkeypatch.setattr(module, "entry_points", cache(module.entry_points.__wrapped__))
     monkeypatch.setattr(module, "REGISTRIES", {})
     for section in ("shapes", "bodies"):
         registry = Registry(section, {"own": f"{__name__}:Own"})
@@ -41,7 +40,7 @@ def shapes(monkeypatch: pytest.MonkeyPatch) -> Registry:
         EntryPoint("ordered", "collections:OrderedDict", "tactorch.shapes"),
         EntryPoint("broken", "no_such_package_here:Thing", "tactorch.shapes"),
     ]
-    monkeypatch.setattr(module, "entry_points", lambda group: entries)
+    monkeypatch.setattr(module, "entry_points", lambda: entries)
     monkeypatch.setattr(module, "REGISTRIES", dict(REGISTRIES))
     return Registry("shapes", {"own": f"{__name__}:Own"})
 

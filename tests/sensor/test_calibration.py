@@ -270,7 +270,7 @@ def test_the_map_that_errs_least_on_presses_left_out_is_chosen() -> None:
 
 def test_maps_of_other_packages_are_no_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     entries = [EntryPoint("other", "no_such_package_here:Map", "tactorch.sensor_map")]
-    monkeypatch.setattr(registry, "entry_points", lambda group: entries)
+    monkeypatch.setattr(registry, "entry_points", lambda: entries)
     with pytest.raises(ConfigError, match="no_such_package_here"):
         SENSOR_MAPS.build("other")
     good = MapQuality((0.9, 0.9), (0.1, 0.1), 0.01, 100)
