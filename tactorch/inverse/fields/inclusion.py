@@ -121,7 +121,7 @@ class InclusionShape:
 
     def contains(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Return whether points (mm) are inside."""
-        return self.unit.signed_distance(self.relative(points)) <= 0.0
+        return self.distance(points) <= 0.0
 
     def distance(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         """Return the distance to the boundary (mm), negative inside; exact for balls only."""

@@ -6,10 +6,10 @@ decides whether they are needed. The distance of a point to the boundary is that
 """
 
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import reduce
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from tactorch.inverse.fields.family import Distances, Family, Samples, Slopes, Values, length
 from tactorch.inverse.fields.inclusion import COMMON, Cloud, InclusionShape, Parameters
@@ -41,8 +41,8 @@ _HARMONICS: dict[int, list[dict[str, float]]] = {
         {"xxxy": 1, "xyyy": -1},
     ],
 }
-_DEVIATIONS = {2: 0.15, 3: 0.08, 4: 0.05}  # of the coefficients of each degree
-_DEGREES = np.array([degree for degree, rows in _HARMONICS.items() for _ in rows])
+# Prior deviations of the coefficients, by their degree.
+_DEVIATIONS = np.repeat([0.15, 0.08, 0.05], [len(rows) for rows in _HARMONICS.values()])
 _SPHERE = 12  # rows of directions, by which a body is integrated
 _FINE = 40  # the same for its extents
 _BEYOND = 1.003  # extents, over those in these directions
@@ -154,10 +154,6 @@ class StarShape(InclusionShape):
         """Noun for the form."""
         return "irregular lump"
 
-    def contains(self, points: Directions) -> Bool[np.ndarray, " n"]:
-        """Return whether points (mm) are inside."""
-        return self.distance(points) <= 0.0
-
     def distance(self, points: Directions) -> Float[np.ndarray, " n"]:
         """Return the distance to the boundary along the radius (mm), negative inside."""
         offsets = points - self.center_mm
@@ -197,11 +193,11 @@ class StarFamily(Family):
 
     name = judged_as = "irregular lump"
     noun = "an irregular lump"
-    distortions = tuple(f"harmonic {k}" for k in range(len(_DEGREES)))
+    distortions = tuple(f"harmonic {k}" for k in range(len(_DEVIATIONS)))
 
     def scale(self, prior: ShapePrior) -> tuple[list[float], list[float]]:
         mean, deviation = super().scale(prior)
-        return mean, [*deviation[: len(COMMON)], *self._deviations.tolist()]
+        return mean, [*deviation[: len(COMMON)], *_DEVIATIONS.tolist()]
 
     def like(self, cloud: Cloud) -> Values:
         """Return the body whose distances follow from the number of points in each direction."""
@@ -212,16 +208,11 @@ class StarFamily(Family):
         nearest = ((cloud.points - cloud.center) @ directions.T).argmax(axis=1)
         counts = np.bincount(nearest, minlength=_DIRECTIONS)
         logs = np.log(np.maximum(counts / counts.mean(), 0.1)) / 3.0
-        deviations = self._deviations
-        matrix = np.vstack([_SUMS.of(directions).T / _NOISE, np.diag(1.0 / deviations)])
-        values = np.concatenate([(logs - logs.mean()) / _NOISE, np.zeros(len(deviations))])
+        matrix = np.vstack([_SUMS.of(directions).T / _NOISE, np.diag(1.0 / _DEVIATIONS)])
+        values = np.concatenate([(logs - logs.mean()) / _NOISE, np.zeros(len(_DEVIATIONS))])
         found = np.linalg.lstsq(matrix, values, rcond=None)[0]
-        found = np.clip(found, -_MAX_START * deviations, _MAX_START * deviations)
+        found = np.clip(found, -_MAX_START * _DEVIATIONS, _MAX_START * _DEVIATIONS)
         return np.array([*cloud.center, cloud.log_radius, cloud.log_contrast, *found])
-
-    @cached_property
-    def _deviations(self) -> Float[np.ndarray, " harmonics"]:
-        return np.array([_DEVIATIONS[degree] for degree in _DEGREES.tolist()])
 
     def shape(self, own: Parameters) -> InclusionShape:
         ball, coefficients = float(np.exp(own.log_radius)), own.distortions

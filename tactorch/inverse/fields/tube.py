@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from tactorch.inverse.fields.family import (
     VARIANCE,
@@ -114,10 +114,6 @@ class TubeShape(InclusionShape):
         if self.slope:
             return "tapered rod"
         return {1: "ring", 2: "rod"}.get(len(self.nodes_mm), "bent rod")
-
-    def contains(self, points: Points) -> Bool[np.ndarray, " n"]:
-        """Return whether points (mm) are inside."""
-        return self.distance(points) <= 0.0
 
     def distance(self, points: Points) -> Float[np.ndarray, " n"]:
         """Return the distance to the boundary (mm), negative inside."""
@@ -337,12 +333,11 @@ class TaperedRodFamily(RodFamily):
     def shape(self, own: Parameters) -> InclusionShape:
         shape = super().shape(own)
         assert isinstance(shape, TubeShape)
-        return replace(shape, slope=float(_slope(*self._sizes(own)[:3]).real))
+        return replace(shape, slope=self._sizes(own)[-1])
 
     def balance(self, own: Parameters) -> Vector:
         """Return the centre of volume, from the centre: of the frustum and its two caps, mm."""
-        radius, size, taper, ball = self._sizes(own)
-        slope = float(_slope(radius, size, taper).real)
+        radius, size, _, ball, slope = self._sizes(own)
         balls = radius + slope * size * np.array([-1.0, 1.0])
         ends = np.array([-size, size])
         (first, last), circles = ends - slope * balls, balls * np.sqrt(1.0 - slope**2)
@@ -360,15 +355,13 @@ class TaperedRodFamily(RodFamily):
         return own.distortions[:3] / size * (0.75 * total / ball**3)
 
     def distance(self, own: Parameters, points: Samples) -> Distances:
-        radius, size, taper, _ = self._sizes(own)
-        slope = float(_slope(radius, size, taper).real)
+        radius, size, _, _, slope = self._sizes(own)
         half = own.distortions[:3]
         offsets, t = _from_tapered(points.reshape(-1, 3), own.center, half, slope)
         return (length(offsets) - radius - slope * size * t).reshape(points.shape[:-1])
 
     def distance_derivative(self, own: Parameters, points: Samples) -> tuple[Distances, Slopes]:
-        radius, size, taper, _ = self._sizes(own)
-        slope, half = float(_slope(radius, size, taper).real), own.distortions[:3]
+        (radius, size, taper, _, slope), half = self._sizes(own), own.distortions[:3]
         offsets, t = _from_tapered(points.reshape(-1, 3), own.center, half, slope)
         distances = length(offsets)
         away = offsets.T / distances
@@ -390,17 +383,18 @@ class TaperedRodFamily(RodFamily):
 
     def _radius(self, own: Parameters) -> tuple[float, float, Float[np.ndarray, " k"]]:
         """Return the radius at the centre, and its derivatives by log-radius, vector and taper."""
-        radius, size, taper, ball = self._sizes(own)
+        radius, size, taper, ball, _ = self._sizes(own)
         by_radius, by_size, by_taper = _gradient(_volume, radius, size, taper)
         along = own.distortions[:3] / size
         others = np.array([*(-by_size / by_radius * along), -by_taper / by_radius * (1 - taper**2)])
         return radius, 3.0 * ball**3 / by_radius, others
 
-    def _sizes(self, own: Parameters) -> tuple[float, float, float, float]:
-        """Return the radius at the centre, half the length, the taper, and the ball's radius."""
+    def _sizes(self, own: Parameters) -> tuple[float, float, float, float, float]:
+        """Return radius at the centre, half the length, taper, the ball's radius, and slope."""
         size, taper = float(length(own.distortions[:3])), float(np.tanh(own.distortions[3]))
         ball = float(np.exp(own.log_radius))
-        return _solved(lambda a: _volume(a, size, taper), ball), size, taper, ball
+        radius = _solved(lambda a: _volume(a, size, taper), ball)
+        return radius, size, taper, ball, float(_slope(radius, size, taper).real)
 
 
 class BentRodFamily(RodFamily):
