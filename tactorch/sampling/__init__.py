@@ -10,7 +10,7 @@
   alternatives. The registry `RULES` lists them by name.
 """
 
-from tactorch.sampling.candidates import Patch, candidate_patches
+from tactorch.sampling.candidates import candidate_patches
 from tactorch.sampling.loop import LoopOptions, LoopResult, Observer, SamplingLoop, Update
 from tactorch.sampling.rules import (
     RULES,
@@ -26,6 +26,7 @@ from tactorch.sampling.sample import Presser, SimulatedPresser, Step, sample
 from tactorch.sampling.shape_design import ExpectedShapeError, LumpPosition, ShapeDesign
 from tactorch.sampling.sources import RecordingSource
 from tactorch.sampling.suggest import Suggester, Suggestion, SuggestOptions
+from tactorch.simulation.curved import Patch
 
 __all__ = [
     "RULES",

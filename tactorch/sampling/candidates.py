@@ -1,7 +1,7 @@
 """Candidates of the next press: patches of a curved surface that a round sensor can press."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,88 +9,15 @@ from jaxtyping import Bool, Float
 
 from tactorch.errors import ConfigError
 from tactorch.mesh import TetMesh
-from tactorch.mesh.geometry import farthest_point_order
-from tactorch.mesh.quadrature import lattice
+from tactorch.mesh.geometry import farthest_point_order, unit_rows
 from tactorch.mesh.values import Real, positive
 from tactorch.recording import Press, Recording
+from tactorch.simulation.curved import Patch
 
 NodeMask = Bool[np.ndarray, " n"]
 MIN_FACING = 0.85  # mean cosine between surface and sensor; an edge of a cube has 0.71
 _MIN_COVERED = 0.93  # of the area of a pressable patch, by the surface that faces it
 _MAX_RADIUS_SHARE = 0.25  # inferred radius of the sensor over the object's smallest extent
-# Centroids of 64 equal parts of a triangle: each is counted in or out of a patch.
-_WEIGHTS = np.concatenate([lattice(8, 1 / 3, corners=3), lattice(7, 2 / 3, corners=3)])
-
-
-@dataclass(frozen=True, eq=False)
-class Patch:
-    """Position of a press, independent of the mesh.
-
-    Attributes:
-        center: Point on the surface, mm.
-        inward: Unit vector of the push.
-        radius_mm: Radius of the sensor, mm.
-    """
-
-    center: Float[np.ndarray, "3"]
-    inward: Float[np.ndarray, "3"]
-    radius_mm: float
-
-    def forces(self, mesh: TetMesh) -> Float[np.ndarray, "n 3"]:
-        """Return the nodal forces of a dead pressure of 1 MPa along `inward`, N.
-
-        It acts on the surface that faces the sensor, within the cylinder along `inward` and within
-        one and a half radii of the centre. The total is 1 MPa times the sensor's area on every
-        mesh, distributed evenly over the sensor's face.
-        """
-        surface = mesh.surface
-        shares = (self._inside(mesh) @ _WEIGHTS) * (surface.areas * self._cosines(mesh))[:, None]
-        nodal = np.bincount(surface.triangles.ravel(), shares.ravel(), minlength=mesh.n_points)
-        if not nodal.sum() > 0:
-            raise ConfigError(
-                f"The mesh has no surface within {self.radius_mm:g} mm of the patch at "
-                f"{np.round(self.center, 4).tolist()} mm; enlarge the radius, or move the patch."
-            )
-        return np.pi * self.radius_mm**2 / nodal.sum() * nodal[:, None] * self.inward
-
-    def facing(self, mesh: TetMesh) -> float:
-        """Return the area-weighted mean cosine between the pressed surface and the sensor."""
-        inside = self._inside(mesh).sum(axis=1) * mesh.surface.areas
-        return float(inside @ self._cosines(mesh) / max(inside.sum(), 1e-300))
-
-    def covered(self, mesh: TetMesh, margin_mm: float = 0.0) -> float:
-        """Return the share of the sensor's area, wider by a margin, that the surface covers."""
-        wide = replace(self, radius_mm=self.radius_mm + margin_mm)
-        areas = wide._inside(mesh).mean(axis=1) * mesh.surface.areas
-        return float(areas @ wide._cosines(mesh) / (np.pi * wide.radius_mm**2))
-
-    def coordinates(
-        self, points: Float[np.ndarray, "*k 3"]
-    ) -> tuple[Float[np.ndarray, "*k"], Float[np.ndarray, "*k"]]:
-        """Return the distances of points from the axis along `inward`, and those along it, mm."""
-        offsets = points - self.center
-        along = offsets @ self.inward
-        across = np.linalg.norm(offsets - along[..., None] * self.inward, axis=-1)
-        return np.asarray(across), along
-
-    def _cosines(self, mesh: TetMesh) -> Float[np.ndarray, " k"]:
-        """Cosine between each triangle's normal and the direction to the sensor."""
-        return -(mesh.surface.normals @ self.inward)
-
-    def _inside(self, mesh: TetMesh) -> Bool[np.ndarray, "k q"]:
-        """Which inner points of each triangle are pressed."""
-        max_depth = 1.5 * self.radius_mm
-        corners = mesh.points[mesh.surface.triangles]
-        centroids = corners.mean(axis=1)
-        sizes = np.linalg.norm(corners - centroids[:, None], axis=2).max(axis=1)
-        # Most triangles are too far from the centre.
-        distances = np.linalg.norm(centroids - self.center, axis=1)
-        near = distances <= np.hypot(self.radius_mm, max_depth) + sizes
-        near &= self._cosines(mesh) > 0
-        across, along = self.coordinates(np.einsum("qc,kcd->kqd", _WEIGHTS, corners[near]))
-        inside = np.zeros((len(corners), len(_WEIGHTS)), dtype=bool)
-        inside[near] = (across <= self.radius_mm) & (np.abs(along) <= max_depth)
-        return inside
 
 
 def candidate_patches(
@@ -166,7 +93,7 @@ def _vertex_normals(mesh: TetMesh) -> Float[np.ndarray, "n 3"]:
     total = np.zeros((mesh.n_points, 3))
     weighted = surface.normals * surface.areas[:, None]
     np.add.at(total, surface.triangles.ravel(), np.repeat(weighted, 3, axis=0))
-    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+    return unit_rows(total)
 
 
 class Candidates(NamedTuple):

@@ -19,7 +19,7 @@ from tactorch.inverse.posterior.gaussian_state import GaussianState
 from tactorch.mesh import TetMesh
 from tactorch.mesh.geometry import farthest_point_order
 from tactorch.recording import Recording
-from tactorch.sampling.candidates import Patch
+from tactorch.simulation.curved import Patch
 
 _HERE = "tactorch.sampling.rules"
 RULES = Registry(

@@ -18,11 +18,12 @@ from tactorch.inverse.posterior.select import posterior_at
 from tactorch.mesh import TetMesh
 from tactorch.recording import MaterialSpec, Press, Recording
 from tactorch.recording.append import digest
-from tactorch.sampling.candidates import Candidates, Patch, all_directions, planned_press
+from tactorch.sampling.candidates import Candidates, all_directions, planned_press
 from tactorch.sampling.loop import LoopOptions, Observer, SamplingLoop, Update
 from tactorch.sampling.rules import Rule
 from tactorch.sampling.sources import Arrival, PressSource
 from tactorch.sampling.suggest import Suggester, SuggestOptions
+from tactorch.simulation.curved import Patch
 
 
 @runtime_checkable

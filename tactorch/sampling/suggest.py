@@ -22,8 +22,9 @@ from tactorch.inverse.posterior.variational import (
     variational_posterior,
 )
 from tactorch.recording import Press, Recording
-from tactorch.sampling.candidates import Candidates, InferredCandidates, Patch
+from tactorch.sampling.candidates import Candidates, InferredCandidates
 from tactorch.sampling.rules import RULES, Automatic, Jacobian, Rule, SamplingState
+from tactorch.simulation.curved import Patch
 
 # A coarse posterior suffices to compare candidates, and starts from the previous one.
 _MAX_ITERATIONS, _TOLERANCE = 12, 0.1
