@@ -131,30 +131,20 @@ def check_memory(
     )
 
 
-def check_stored(
-    source: object,
-    claim: str,
-    needed: float,
-    stored: float | None = None,
-    error: type[TactorchError] = FileError,
-) -> None:
+def check_stored(source: Path, claim: str, needed: float) -> None:
     """Refuse a file that states more than it holds.
 
     Args:
-        source: The path of the file, or the file in messages.
+        source: The file.
         claim: What the file states, such as "1000000000 faces".
         needed: Least number of bytes in a file that can hold it; with compression, the number
             before it over `DEFLATE`.
-        stored: Bytes that the file holds; None for the size of the file `source`.
-        error: Class of the error.
 
     Raises:
-        TactorchError: It holds less than that.
+        FileError: It holds less than that.
     """
-    if stored is None:
-        stored = Path(str(source)).stat().st_size
-    if needed > stored:
-        raise error(
+    if needed > (stored := source.stat().st_size):
+        raise FileError(
             f"{_name(source)} is incomplete or its header is wrong: {claim} take "
             f"{_size(needed)} or more, and it holds {_size(stored)}; write it again, or copy it "
             "again from its source."

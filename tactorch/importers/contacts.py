@@ -72,14 +72,15 @@ def hysteresis(samples: Samples) -> float | None:
     It is the median of the probes; None where balls are not lifted in contact.
     """
     shares = []
-    for k in np.flatnonzero(np.isfinite(samples.lost_nmm)):
+    for k in np.flatnonzero(np.isfinite(samples.lost[:, 0])):
+        lost_nmm, low, high = samples.lost[k]
         rows = np.flatnonzero(samples.probe == k)
         rows = rows[np.argsort(samples.advance_mm[rows])]
-        grid = np.linspace(samples.lost_from_mm[k], samples.lost_to_mm[k], 100)
+        grid = np.linspace(low, high, 100)
         force = np.interp(grid, samples.advance_mm[rows], samples.force_n[rows])
         work = float(np.trapezoid(force, grid))
         if work > 0.0:
-            shares.append(samples.lost_nmm[k] / work)
+            shares.append(lost_nmm / work)
     return float(np.median(shares)) if shares else None
 
 
@@ -131,7 +132,7 @@ def _common_offset(samples: Samples, noise: float, source: str) -> Offsets:
 
     With the force of first samples as the offset, those are clear that are clear.
     """
-    trial = replace(samples, force_n=samples.force_n - float(np.median(_first_forces(samples))))
+    trial = replace(samples, force_n=samples.force_n - float(np.median(_end_forces(samples)[0])))
     depths = _first_depths(trial, noise)
     # By more than the uncertainty of the place of the surface.
     free = samples.advance_mm + depths[samples.probe] < -MIN_TRAVEL * samples.radius_mm
@@ -174,7 +175,7 @@ def _first_depths(samples: Samples, noise: float) -> Float[np.ndarray, " probes"
     travel = float(samples.advance_mm.max(initial=0.0))
     steps = int(np.clip(np.ceil((travel + 0.5 * radius) / (_STEP * radius)), 2, _MAX_STEPS))
     grid = np.linspace(-travel, 0.5 * radius, steps)
-    first = float(np.median(_first_forces(samples)))
+    first = float(np.median(_end_forces(samples)[0]))
     pressed = first > _CONTACT_NOISE * noise / np.sqrt(count)
 
     def misfits(
@@ -199,11 +200,11 @@ def _first_depths(samples: Samples, noise: float) -> Float[np.ndarray, " probes"
     return _least(costs, depths + near[:, None])
 
 
-def _first_forces(samples: Samples) -> Float[np.ndarray, " probes"]:
-    """Return the force of the sample of least advance of each probe, N."""
+def _end_forces(samples: Samples) -> Float[np.ndarray, "2 probes"]:
+    """Return the forces of the samples of least and of largest advance of each probe, N."""
     order = np.lexsort((samples.advance_mm, samples.probe))
     _, first = np.unique(samples.probe[order], return_index=True)
-    return samples.force_n[order[first]]
+    return samples.force_n[order[[first, np.append(first[1:], len(order)) - 1]]]
 
 
 def _least(
@@ -269,10 +270,8 @@ def _distances(
 
 def _check_sign(samples: Samples, noise: float, source: str) -> None:
     """Refuse forces that fall while the balls are pressed in."""
-    order = np.lexsort((samples.advance_mm, samples.probe))
-    _, first = np.unique(samples.probe[order], return_index=True)
-    last = np.append(first[1:], len(order)) - 1
-    rise = float(np.median(samples.force_n[order[last]] - samples.force_n[order[first]]))
+    first, last = _end_forces(samples)
+    rise = float(np.median(last - first))
     if rise < -_CONTACT_NOISE * noise:
         raise FileError(
             f"'{source}': no probe's force rises with depth, it changes by {rise:.3g} N. If it is "

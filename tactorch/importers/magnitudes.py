@@ -29,11 +29,8 @@ Remedy = Callable[[str, str], str]  # how a unit of "force" or "position" is sta
 def check_rows(source: str, rows: Rows, radius_mm: float | None, remedy: Remedy) -> None:
     """Refuse positions and forces that no palpation in mm and N has.
 
-    Args:
-        source: Name of the file, for messages.
-        rows: The rows.
-        radius_mm: Radius of the ball; None where it is not stated.
-        remedy: Text that states how a unit is given.
+    The radius of the ball is None where it is not stated; `source` is the name of the file in
+    messages.
 
     Raises:
         FileError: A magnitude suggests another unit; names it, and the remedy.
@@ -66,13 +63,8 @@ def check_contacts(
 ) -> None:
     """Refuse distances, depths and apparent moduli that palpations of soft objects do not have.
 
-    Args:
-        source: Name of the file, for messages.
-        points_mm: The contacts.
-        depth_mm: Median depth of the ball.
-        radius_mm: Radius of the ball.
-        modulus_mpa: Median of Young's moduli of half-spaces with the forces of the probes.
-        remedy: Text that states how a unit is given.
+    The depth of the ball is the median of the probes, and so is the modulus: that of a half-space
+    with the forces of a probe.
 
     Raises:
         FileError: A magnitude suggests another unit; names it, and the remedy.
@@ -122,12 +114,7 @@ def check_surface(
 ) -> None:
     """Refuse contacts that are not at the surface of the given object.
 
-    Args:
-        source: Name of the file, for messages.
-        mesh: The object.
-        points_mm: The contacts.
-        lift_mm: Centres of the balls relative to the contacts.
-        remedy: Text that states how a unit is given.
+    `lift_mm` are the centres of the balls relative to the contacts.
 
     Raises:
         FileError: Most are farther from it than the ball's radius.

@@ -4,7 +4,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -34,6 +34,7 @@ _SIDE = 1e-3  # distance of supported nodes from a side, over the diagonal
 class PointOptions(Options):
     """Settings of formats of displacements and forces at points."""
 
+    section: ClassVar[str] = "format"
     unit: Literal["mm", "cm", "m"] = option("mm", "Length unit of the mesh")
     support: FaceName | None = option(
         "z-", "Side of the bounding box that is held, where the files do not state it; null: none"

@@ -82,9 +82,7 @@ class Samples:
     names: np.ndarray  # of the probes in the file, text
     normals: Float[np.ndarray, "probes 3"]  # outward unit normals
     origins_mm: Float[np.ndarray, "probes 3"]  # on their axes, where the samples begin
-    lost_nmm: Float[np.ndarray, " probes"]  # work that is not given back; NaN where not lifted
-    lost_from_mm: Float[np.ndarray, " probes"]  # advances between which that is known
-    lost_to_mm: Float[np.ndarray, " probes"]
+    lost: Float[np.ndarray, "probes 3"]  # work that is not given back, see `lost_work`
     radius_mm: float  # of the ball
     probe: Int[np.ndarray, " s"]  # index of the probe
     advance_mm: Float[np.ndarray, " s"]  # motion along minus the normal from the origin
@@ -96,7 +94,7 @@ class Samples:
     def keep(self, kept: Bool[np.ndarray, " s"], reason: str) -> "Samples":
         """Return some of the samples, and the probes that have any."""
         probes, inverse = np.unique(self.probe[kept], return_inverse=True)
-        of_probes = ["names", "normals", "origins_mm", "lost_nmm", "lost_from_mm", "lost_to_mm"]
+        of_probes = ("names", "normals", "origins_mm", "lost")
         of_samples = ("advance_mm", "force_n", "time", "count")
         left = self.left_out.get(reason, 0) + int((~kept).sum())
         return replace(
@@ -136,13 +134,7 @@ class Samples:
 
 
 def read_rows(path: Path, columns: Mapping[str, str], units: Mapping[str, str]) -> Rows:
-    """Read the rows of a table.
-
-    Args:
-        path: The file.
-        columns: Column of a quantity, where its name is another.
-        units: Unit of a quantity, where its name does not state it.
-    """
+    """Read the rows of a table; see `assign` for columns and units."""
     sheet = read_sheet(path, "palpation")
     try:
         found = assign(list(sheet.columns), columns, units, PALPATION_UNITS)
@@ -215,8 +207,7 @@ def make_samples(path: Path, rows: Rows, radius_mm: float | None) -> Samples:
     """
     radius = radius_mm or _radius(path, rows)
     names, probe = _probes(path, rows, _APART * radius)
-    left_out: dict[str, int] = {}
-    left_out["apart from the others of their probe"] = int((probe < 0).sum())
+    left_out = {"apart from the others of their probe": int((probe < 0).sum())}
     order = np.arange(len(probe)) if rows.time is None else np.argsort(rows.time, kind="stable")
     order = order[np.argsort(probe[order], kind="stable")]
     order = order[probe[order] >= 0]
@@ -322,7 +313,7 @@ class _Strokes:
             for k in range(len(self.names))
         ]
         least = MIN_TRAVEL * self.radius
-        lost, low, high = np.array([lost_work(*pair, least) for pair in branches]).T
+        lost = np.array([lost_work(*pair, least) for pair in branches])
         advance, force = (np.concatenate([pair[0][i] for pair in branches]) for i in (0, 1))
         times = self.rows.time
         if times is None:
@@ -330,8 +321,8 @@ class _Strokes:
         probe = np.repeat(np.arange(len(self.names)), [len(p) for p in self.pressed])
         times = times[np.concatenate(self.pressed)]
         samples = Samples(
-            self.names, self.normals, self.origins, lost, low, high, self.radius, probe,
-            advance, force, times, np.ones(len(force)), left_out,
+            self.names, self.normals, self.origins, lost, self.radius, probe, advance, force,
+            times, np.ones(len(force)), left_out,
         )  # fmt: skip
         return samples.keep(usable[probe], "of probes that cannot be used")
 

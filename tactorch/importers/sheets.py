@@ -157,13 +157,15 @@ def _parquet(source: Path) -> Sheet:
         ) from error
     try:
         file = parquet.ParquetFile(source, read_dictionary=_text_columns(source))
-        _check_rows(source, file.metadata.num_rows, file.metadata.num_columns)
+        rows, columns = file.metadata.num_rows, file.metadata.num_columns
+        claim = f"{rows} rows of {columns} columns"
+        check_memory(source, claim, rows * columns * _BYTES_PER_CELL)
         table = file.read()
     except (pyarrow.ArrowException, OSError, ValueError) as error:
         raise FileError(f"'{source}' cannot be read as Parquet: {error}.") from error
     _check_names(source, table.column_names)
-    columns: dict[str, Sequence[Any]] = {n: _cells(table.column(n)) for n in table.column_names}
-    return Sheet(source, columns, [f"row {i}" for i in range(table.num_rows)])
+    cells: dict[str, Sequence[Any]] = {n: _cells(table.column(n)) for n in table.column_names}
+    return Sheet(source, cells, [f"row {i}" for i in range(rows)])
 
 
 def _text_columns(source: Path) -> list[str]:
@@ -187,11 +189,6 @@ def _cells(column: Any) -> list[Any]:
         values = chunk.dictionary.to_pylist()
         cells += [None if i is None else values[i] for i in chunk.indices.to_pylist()]
     return cells
-
-
-def _check_rows(source: Path, rows: int, columns: int) -> None:
-    claim = f"{rows} rows of {columns} columns"
-    check_memory(source, claim, rows * columns * _BYTES_PER_CELL)
 
 
 def _as_text(cell: Any) -> str:

@@ -107,10 +107,8 @@ def _begin(
 def find_mixed(probes: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
     """Return the scatter of large forces at equal depth, over them; 0 where it is that of small.
 
-    Forces of two branches scatter in proportion to themselves, those of one by the noise.
-
-    Args:
-        probes: Advances (mm) and forces (N) of the rows of each probe.
+    Forces of two branches scatter in proportion to themselves, those of one by the noise. Each
+    probe has the advances (mm) and forces (N) of its rows.
     """
     scatter, level = [np.zeros(0)], [np.zeros(0)]
     for advance, force in probes:

@@ -10,7 +10,7 @@ surface. Forces at other points are divided among the nodes of their triangle.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -28,7 +28,6 @@ from tactorch.recording import Recording
 class TableOptions(PointOptions):
     """Read displacements and forces at points from CSV or Parquet (see the module's docstring)."""
 
-    section: ClassVar[str] = "format"
     mesh: Path | None = option(None, "Mesh of the object at rest; required")
     columns: Mapping[str, str] | None = option(
         None, "Columns of quantities that have other names, such as {ux: disp_x}"

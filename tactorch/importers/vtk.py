@@ -10,7 +10,7 @@ out.
 import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -34,7 +34,6 @@ _log = logging.getLogger(__name__)
 class VtkOptions(PointOptions):
     """Read fields of displacement and force from VTK files (see the module's docstring)."""
 
-    section: ClassVar[str] = "format"
     mesh: Path | None = option(
         None, "Mesh of the object at rest; null: the tetrahedra of the first file"
     )

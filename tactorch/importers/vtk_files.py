@@ -51,12 +51,9 @@ class VtkFile:
                 )
 
     def field(self, what: str, name: str | None, width: int) -> np.ndarray | None:
-        """Return a field at the points; None where there is none.
+        """Return the field of a quantity of `NAMES` at the points; None where there is none.
 
-        Args:
-            what: Quantity, of `NAMES`.
-            name: Name of the field; None to choose by its name.
-            width: Number of components.
+        Without its name it is the one that has a name of the quantity.
         """
         if name is None:
             found = [n for n in self.fields if re.sub("[^a-z]", "", n.lower()) in NAMES[what]]
@@ -111,10 +108,6 @@ def read_vtk(path: str | Path) -> VtkFile:
         np.concatenate([np.zeros((0, n), np.int64), *(c.nodes for c in cells if c.kind == kind)])
         for kind, n in (("tetra", 4), ("triangle", 3), ("quad", 4))
     )
-    triangles = np.vstack((three, _halves(four)))
+    halves = four[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)  # of quadrangles
+    triangles = np.vstack((three, halves))
     return VtkFile(source, points, tets, triangles, dict(fields), tuple(of_cells))
-
-
-def _halves(quads: Int[np.ndarray, "q 4"]) -> Int[np.ndarray, "h 3"]:
-    """Return quadrangles as triangles."""
-    return quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
