@@ -200,7 +200,7 @@ class Evaluation:
         """Return d residuals / d youngs, 1/MPa, by one solve per observed degree of freedom."""
         cases, data = self.sensitivities, self.data.observations
         parts = map_cases(lambda i: cases[i].matrix() * data[i].scale[:, None], len(cases))
-        return self._join(parts)
+        return self._of_residuals(np.concatenate(parts))
 
     def log_rates(self) -> Float[np.ndarray, "data m"]:
         """Return the derivatives of the data (mm, N or N mm) by the log-modulus of each element."""
@@ -236,7 +236,7 @@ class Evaluation:
                     columns += indirect or direct
             return np.column_stack(columns) * self.data.observations[i].scale[:, None]
 
-        return self._join(map_cases(work, len(cases)))
+        return self._of_residuals(np.concatenate(map_cases(work, len(cases))))
 
     def _loads(self, press: _PressSolution, changes: Sequence[np.ndarray]) -> list[NodalField]:
         """Return the loads of all nodes by changes of a press's nodal forces, N."""
@@ -433,10 +433,6 @@ class Evaluation:
     def _of_data(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " data"]:
         """Weights of the residuals as weights of the data in standard deviations."""
         return self.data.transposed(self._misfit.derivative(self._white, self._begins, weights))
-
-    def _join(self, parts: list[np.ndarray]) -> Float[np.ndarray, "data *k"]:
-        """Derivatives of the residuals from those of each press in standard deviations."""
-        return self._of_residuals(np.concatenate(parts))
 
     def _split(self, weights: Float[np.ndarray, " data"]) -> list[Float[np.ndarray, " p"]]:
         """Weights of the residuals as weights of the data of each press, 1 over their unit."""

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from threading import Lock
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -40,11 +40,8 @@ _QUICK_STARTS = 2  # fits of an inclusion for a provisional answer
 ROUGH, FINE = 0.5, 0.02
 
 
-class Proposals(Protocol):
-    """A source of models that may be better than the present one."""
-
-    def __call__(self, problem: "SearchProblem", model: Model) -> Iterable[Start]:
-        """Yield models to be fitted with the reduced model of a problem."""
+#: Source of models that may be better than the present one, to be fitted with the reduced model.
+Proposals: TypeAlias = Callable[["SearchProblem", Model], Iterable[Start]]
 
 
 class SearchProblem(ABC):

@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Float
 
 from tactorch.fem import NewtonOptions, SoftBody
-from tactorch.inverse.data.observations import DataModel
-from tactorch.inverse.errors import ErrorModel, Levels, MeasuredPresses
+from tactorch.inverse.errors import ErrorModel, MeasuredPresses
 from tactorch.inverse.fields import CENTER, ShapePrior, Sites
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.starts import uniform_fit
+from tactorch.inverse.forward.predictions import Predictions
 from tactorch.inverse.forward.problem import InverseProblem
 from tactorch.inverse.forward.reduced import ReducedProblem
 from tactorch.inverse.posterior.shapes import ShapePosterior
@@ -30,7 +30,7 @@ from tactorch.inverse.search.draft_errors import (
     with_errors,
 )
 from tactorch.inverse.search.matched import MatchedFilter
-from tactorch.inverse.search.model import Model, Start, TimeLimit, make_posterior, with_predictions
+from tactorch.inverse.search.model import Model, Start, TimeLimit, make_posterior
 from tactorch.inverse.search.proposals import further, removed
 from tactorch.inverse.search.search import search
 from tactorch.recording import Recording
@@ -65,9 +65,6 @@ class _Presses(SearchProblem):
 
     def first(self, start: Start) -> Model:
         return self.fit(start, self._moved)  # from the displacements of the last search
-
-    def data(self, errors: Levels) -> DataModel:
-        return self.full.data
 
     def final(self, model: Model) -> Model:
         return model  # exact enough
@@ -126,7 +123,7 @@ class DraftShapes:
         keys = [digest(press) for press in recording.presses]
         model, result = search(self._prepare(recording, keys, limit), limit, start)
         self._moved = dict(zip(keys, model.evaluation.displacements, strict=True))
-        return with_predictions(result, model, recording)
+        return replace(result, predictions=Predictions.of(model.evaluation, recording))
 
     def _prepare(self, recording: Recording, keys: list[str], stop: TimeLimit) -> _Presses:
         quadratic, options = self._problem(recording, "tet10"), self._options

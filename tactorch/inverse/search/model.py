@@ -24,11 +24,8 @@ from tactorch.inverse.fields import (
 )
 from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites
-from tactorch.inverse.forward.predictions import Predictions
 from tactorch.inverse.forward.problem import Evaluation
 from tactorch.inverse.posterior.shapes import ShapePosterior
-from tactorch.inverse.result.shapes import ShapeReconstruction
-from tactorch.recording import Recording
 
 _log = logging.getLogger(__name__)
 
@@ -199,16 +196,6 @@ def unexplained(model: Model, data: DataModel) -> float:
     observed, chi2 = data.values * data.scale, model.fit.chi2
     discrepancy = model.errors.get(Discrepancy.name, 0.0)
     return float(np.sqrt(max(chi2 - 1.0, 0.0) / np.mean(observed**2) + discrepancy**2))
-
-
-def with_predictions(
-    result: ShapeReconstruction, model: Model, recording: Recording
-) -> ShapeReconstruction:
-    """Return a result with the predictions of its model.
-
-    It may be on a refinement of the recording's mesh.
-    """
-    return replace(result, predictions=Predictions.of(model.evaluation, recording))
 
 
 def make_posterior(model: Model, sites: Sites) -> ShapePosterior:

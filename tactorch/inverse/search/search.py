@@ -26,6 +26,7 @@ from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites
 from tactorch.inverse.forward.palpation import is_palpation
+from tactorch.inverse.forward.predictions import Predictions
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import Alternative, ShapeReconstruction
 from tactorch.inverse.search.base import SearchProblem
@@ -43,7 +44,6 @@ from tactorch.inverse.search.model import (
     make_posterior,
     record,
     unexplained,
-    with_predictions,
 )
 from tactorch.inverse.search.palpation import PalpationSearch, at_some_places
 from tactorch.inverse.search.problem import ShapeProblem, is_same_model
@@ -124,7 +124,7 @@ def find_shapes(
         if not result.ended:
             update("gel and object")
             model, result = _through_gel(problem, limit, model, result, recording)
-        return with_predictions(result, model, recording)
+        return replace(result, predictions=Predictions.of(model.evaluation, recording))
 
 
 def _through_gel(
