@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from tactorch.budget import DEFLATE, check_deflated, check_memory, check_stored, gunzip
 from tactorch.errors import ConfigError, FileError, TactorchError
+from tactorch.volumes.volume import Content
 
 _log = logging.getLogger(__name__)
 #: Bytes of a label in memory.
@@ -24,8 +24,8 @@ _UNITS = {"mm": "mm", "meter": "m", "micron": "um", "unknown": "mm"}
 _SEGMENTATIONS = ("1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7")
 
 
-def read_nifti(source: Path) -> tuple[np.ndarray, Float[np.ndarray, "4 4"], str]:
-    """Read the array of a file, its affine matrix, and the unit of the matrix ("um", "mm", "m")."""
+def read_nifti(source: Path) -> Content:
+    """Read a NIfTI file, which has no names of labels."""
     if importlib.util.find_spec("nibabel") is None:
         raise ConfigError("Reading NIfTI needs nibabel: pip install 'tactorch[volumes]'.")
 
@@ -65,7 +65,7 @@ def read_nifti(source: Path) -> tuple[np.ndarray, Float[np.ndarray, "4 4"], str]
             "'%s' has neither sform nor qform: the body has its voxel sizes, but no orientation.",
             source,
         )
-    return values, affine, _UNITS.get(unit, "mm")
+    return values, affine, _UNITS.get(unit, "mm"), {}
 
 
 def _open_nifti(source: Path) -> Any:
@@ -90,13 +90,8 @@ def _open_nifti(source: Path) -> Any:
     return kind.from_stream(gunzip(source, kept))
 
 
-def read_segmentation(
-    source: Path,
-) -> tuple[Int[np.ndarray, "i j k"], Float[np.ndarray, "4 4"], dict[int, str]]:
-    """Read the segment of each voxel, the affine matrix in mm, and the names of the segments.
-
-    The matrix leads to patient coordinates (left, posterior, superior).
-    """
+def read_segmentation(source: Path) -> Content:
+    """Read a segmentation in DICOM, in patient coordinates (left, posterior, superior)."""
     if importlib.util.find_spec("highdicom") is None:
         raise ConfigError(
             "Reading DICOM segmentations needs highdicom: pip install 'tactorch[volumes]'."
@@ -124,7 +119,8 @@ def read_segmentation(
                 int(number): str(segments.get_segment_description(number).segment_label)
                 for number in segments.segment_numbers
             }
-            return volume.array.astype(np.int32), np.array(volume.affine, dtype=float), names
+            affine = np.array(volume.affine, dtype=float)
+            return volume.array.astype(np.int32), affine, "mm", names
     except TactorchError:
         raise
     except Exception as error:  # errors of damaged files have no common base

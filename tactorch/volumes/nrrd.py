@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from tactorch.budget import DEFLATE, TEXT, check_memory, check_stored
 from tactorch.errors import FileError
+from tactorch.volumes.volume import Content
 
 _log = logging.getLogger(__name__)
 SUFFIXES = (".nrrd", ".nhdr", ".mha", ".mhd")
@@ -34,12 +35,11 @@ _UNITS = {"mm": "mm", "millimeter": "mm", "cm": "cm", "m": "m", "um": "um", "mic
 _OPPOSITE = {"right": 0, "anterior": 1, "inferior": 2}  # of left, posterior, superior
 _SHORT = {"r": "right", "a": "anterior", "i": "inferior"}
 
-Volume = tuple[np.ndarray, Float[np.ndarray, "4 4"], str, dict[int, str]]
 _Fields = Mapping[str, list[str]]
 
 
-def read_nrrd(source: Path) -> Volume:
-    """Read the array of a file, its affine matrix, their unit, and the names of segments.
+def read_nrrd(source: Path) -> Content:
+    """Read a file.
 
     The matrix leads to patient coordinates (left, posterior, superior), to which those of NRRD with
     another `space` are converted.

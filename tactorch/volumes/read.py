@@ -27,6 +27,7 @@ from tactorch.volumes.volume import LabelVolume
 _log = logging.getLogger(__name__)
 LengthUnit = Literal["um", "mm", "cm", "m"]
 MM_PER_UNIT = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3}
+_READERS = {"nifti": read_nifti, "nrrd": read_nrrd, "dicom": read_segmentation}
 _MAX_LABEL = 2**31 - 1
 _DICOM_MAGIC = slice(128, 132)
 
@@ -52,20 +53,13 @@ def read_volume(
     """
     source = require_file(path, "volume of labels")
     kind = _kind(source)
-    names: dict[int, str] = {}
-    if spacing_mm is not None and kind not in ("npz", "npy"):
-        raise ConfigError(f"spacing_mm is given, but '{source}' states it; leave it out.")
-    if kind == "nifti":
-        values, affine, file_unit = read_nifti(source)
-        labels = as_labels(values, source)
-    elif kind == "nrrd":
-        values, affine, file_unit, names = read_nrrd(source)
-        labels = as_labels(values, source)
-    elif kind == "dicom":
-        (values, affine, names), file_unit = read_segmentation(source), "mm"
+    if kind in _READERS:
+        if spacing_mm is not None:
+            raise ConfigError(f"spacing_mm is given, but '{source}' states it; leave it out.")
+        values, affine, file_unit, names = _READERS[kind](source)
         labels = as_labels(values, source)
     else:
-        (labels, affine), file_unit = _read_arrays(source, kind, spacing_mm), "mm"
+        (labels, affine), file_unit, names = _read_arrays(source, kind, spacing_mm), "mm", {}
     if unit is not None and unit != file_unit:
         _log.info("'%s': lengths are read in %s instead of %s.", source, unit, file_unit)
     used = unit or file_unit

@@ -10,6 +10,8 @@ from jaxtyping import Float, Int
 from tactorch.errors import FileError
 from tactorch.mesh.values import Points
 
+#: Array of a file, its affine matrix, their unit, and the names of labels.
+Content = tuple[np.ndarray, Float[np.ndarray, "4 4"], str, dict[int, str]]
 _MIN_VOLUME = 1e-9  # of a voxel, over its longest edge cubed
 _SHOWN = 20  # labels that a message lists
 
