@@ -6,20 +6,43 @@ of the strain energy by the invariants I1, I2, J and do not depend on the materi
 For a node with shape gradient g: p = dI1/dF g = 2 F g, t = dI2/dF g, c = dJ/dF g = cof(F) g.
 """
 
+from contextlib import ExitStack
 from typing import Any, no_type_check
 
 import numba
 import numpy as np
+from numba.core import event
 
-from tactorch.fem.compilation import announce_compilation
+from tactorch.progress import noted
 
-announce_compilation()
 _OPTIONS: dict[str, Any] = {
     "nogil": True,
     "cache": True,
     "fastmath": {"contract", "reassoc", "nsz", "arcp"},
     "error_model": "numpy",
 }
+
+
+class _Announcer(event.Listener):
+    """Shows that kernels are compiled; Numba compiles one at a time, with others inside it."""
+
+    def __init__(self) -> None:
+        self._depth, self._stack = 0, ExitStack()
+
+    def on_start(self, event: event.Event) -> None:
+        """Begin with the outermost kernel."""
+        self._depth += 1
+        if self._depth == 1:
+            self._stack.enter_context(noted("compiling, which is kept for later runs"))
+
+    def on_end(self, event: event.Event) -> None:
+        """End with the outermost kernel."""
+        self._depth -= 1
+        if self._depth == 0:
+            self._stack.close()
+
+
+event.register("numba:compile", _Announcer())
 
 
 @no_type_check
