@@ -14,6 +14,7 @@ from tactorch.budget import check_memory, read_content
 from tactorch.errors import FileError, MeshError
 from tactorch.mesh.formats.cells import Cells, MeshFile
 from tactorch.mesh.formats.groups import regions_of_groups
+from tactorch.mesh.formats.numbers import places
 
 _EXPANSION = 16  # bytes of memory for each of the file
 _DEPTH = 10  # of files that include one another
@@ -205,13 +206,8 @@ def _assembled(part: _Part, path: Path) -> MeshFile:
     order = np.argsort(np.array(list(part.nodes), dtype=np.int64))
     cells = []
     for width, rows in part.elements:
-        nodes = rows[:, 1:]
-        place = np.searchsorted(known, nodes).clip(max=max(len(known) - 1, 0))
-        if not len(known) or (known[place] != nodes).any():
-            absent = nodes[known[place] != nodes] if len(known) else nodes
-            raise ValueError(f"there is no node {absent.flat[0]}")
         name = _SHAPE[width] + ("" if width <= 8 else str(width))
-        cells.append(Cells(name, order[place]))
+        cells.append(Cells(name, order[places(known, rows[:, 1:], "node")]))
     if part.others:
         cells.append(Cells("others", np.zeros((0, 1), dtype=np.int64)))
     regions = None

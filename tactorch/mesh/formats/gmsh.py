@@ -17,7 +17,7 @@ from tactorch.budget import read_content
 from tactorch.errors import MeshError
 from tactorch.mesh.formats.cells import SOLIDS, Cells, MeshFile
 from tactorch.mesh.formats.groups import regions_of_groups
-from tactorch.mesh.formats.numbers import parse_numbers
+from tactorch.mesh.formats.numbers import parse_numbers, places
 
 _log = logging.getLogger(__name__)
 _SHAPES = {
@@ -55,16 +55,11 @@ class _Block:
 class _Content:
     """What the sections of a file hold."""
 
-    tags: list[np.ndarray] = field(default_factory=list)
-    points: list[np.ndarray] = field(default_factory=list)
+    nodes: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)  # numbers, points
     blocks: list[_Block] = field(default_factory=list)
     groups: dict[tuple[int, int], list[int]] = field(default_factory=dict)  # of entities
     names: dict[int, str] = field(default_factory=dict)
     region: np.ndarray | None = None  # number of the element, value
-
-    def add_nodes(self, tags: np.ndarray, points: np.ndarray) -> None:
-        self.tags.append(tags)
-        self.points.append(points)
 
 
 class _Numbers:
@@ -217,10 +212,10 @@ def _read_nodes_4(numbers: _Numbers, version: float, content: _Content) -> None:
         count, width = numbers.one(), 3 + (dimension if parametric else 0)
         if version > 4.0:
             tags = numbers.take("n", count)[:, 0]
-            content.add_nodes(tags, numbers.take("d" * width, count)[:, :3])
+            content.nodes.append((tags, numbers.take("d" * width, count)[:, :3]))
         else:
             rows = numbers.take("i" + "d" * width, count)
-            content.add_nodes(rows[:, 0], rows[:, 1:4])
+            content.nodes.append((rows[:, 0], rows[:, 1:4]))
 
 
 def _read_nodes_2(data: bytes, layout: str, parametric: bool, content: _Content) -> None:
@@ -239,7 +234,7 @@ def _read_nodes_2(data: bytes, layout: str, parametric: bool, content: _Content)
     else:
         words = (line.split()[:4] for line in rest.split(b"\n"))
         table = _Numbers(b" ".join(b" ".join(row) for row in words), "").take("iddd", count)
-    content.add_nodes(table[:, 0], table[:, 1:])
+    content.nodes.append((table[:, 0], table[:, 1:]))
 
 
 def _read_elements_2(data: bytes, layout: str, version: float, content: _Content) -> None:
@@ -304,19 +299,11 @@ def _width(kind: int) -> int:
 
 def _assembled(content: _Content, path: Path) -> MeshFile:
     """Number the nodes and give the elements their regions."""
-    if not content.tags:
+    if not content.nodes:
         raise ValueError("it has no section $Nodes")
-    tags, points = np.concatenate(content.tags), np.concatenate(content.points)
+    tags, points = (np.concatenate(parts) for parts in zip(*content.nodes, strict=True))
     order = np.argsort(tags, kind="stable")
     known = tags[order]
-
-    def place(values: np.ndarray, among: np.ndarray, what: str) -> Int[np.ndarray, "..."]:
-        found = np.searchsorted(among, values).clip(max=max(len(among) - 1, 0))
-        if values.size and (not len(among) or (among[found] != values).any()):
-            absent = values[among[found] != values] if len(among) else values
-            raise ValueError(f"there is no {what} {absent.flat[0]:.0f}")
-        return found
-
     if (known[1:] == known[:-1]).any():
         raise ValueError(f"node {known[1:][known[1:] == known[:-1]][0]:.0f} is defined twice")
     solids = [block for block in content.blocks if _SHAPE.get(block.kind) in SOLIDS]
@@ -329,11 +316,11 @@ def _assembled(content: _Content, path: Path) -> MeshFile:
             "'%s' names groups of volumes (%s), but no volume is in one: it has no regions. Save "
             "it with Mesh.SaveAll=0.", path, ", ".join(list(content.names.values())[:6]),
         )  # fmt: skip
-    cells = [_cells(block.kind, order[place(block.nodes, known, "node")]) for block in solids]
+    cells = [_cells(block.kind, order[places(known, block.nodes, "node")]) for block in solids]
     if content.region is not None and solids:
         numbers = np.concatenate([block.numbers for block in solids])
         rows = content.region[np.argsort(content.region[:, 0])]
-        regions = rows[place(numbers, rows[:, 0], "region of element"), 1].astype(np.int64)
+        regions = rows[places(rows[:, 0], numbers, "region of element"), 1].astype(np.int64)
     empty = np.zeros((0, 1), dtype=np.int64)
     return MeshFile(points, cells + [Cells(name, empty) for name in sorted(others)], regions)
 
@@ -349,10 +336,10 @@ def _regions_of_entities(
     blocks: list[_Block], content: _Content, path: Path
 ) -> Int[np.ndarray, " e"] | None:
     """Return the group of each element, from those of its entity."""
-    places = {e: i for i, e in enumerate(dict.fromkeys(block.entity for block in blocks))}
-    of_block = np.array([places[block.entity] for block in blocks])
+    index = {e: i for i, e in enumerate(dict.fromkeys(block.entity for block in blocks))}
+    of_block = np.array([index[block.entity] for block in blocks])
     rows = np.array([len(block.nodes) for block in blocks])
-    pairs = [(i, group) for e, i in places.items() for group in content.groups.get(e, ())]
+    pairs = [(i, group) for e, i in index.items() for group in content.groups.get(e, ())]
     entities, groups = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
     sizes = np.bincount(of_block, rows)
     regions = regions_of_groups(_by_group(groups, entities), sizes, content.names, path)
