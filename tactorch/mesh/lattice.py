@@ -5,8 +5,6 @@ the surface, those close to a side of the bounding box on this side, so that fla
 the mesh has the bounding box of the shape. Other sharp edges are cut off within an element.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from tactorch.errors import MeshError
@@ -25,13 +23,6 @@ _ON_SURFACE = 1e-6  # distance of nodes that are on the surface, cells
 _ON_SIDE = 0.2  # distance of nodes that are moved onto a side of the bounding box, cells
 
 
-class _Cut(NamedTuple):
-    points: Points
-    tets: Tets
-    low: np.ndarray
-    cell: np.ndarray
-
-
 def lattice_mesh(shape: Shape, edge_length_mm: Real) -> TetMesh:
     """Mesh a shape with a mean edge length; the result depends on the arguments alone.
 
@@ -41,15 +32,15 @@ def lattice_mesh(shape: Shape, edge_length_mm: Real) -> TetMesh:
         ConfigError: The edge length would take too many elements.
         MeshError: Parts of the shape are thinner than an element, so that the mesh falls apart.
     """
-    cut = _cut(shape, positive("edge_length_mm", edge_length_mm))
-    if not len(cut.tets):
+    mesh, inside, low, cell = _cut(shape, positive("edge_length_mm", edge_length_mm))
+    if not inside.any():
         raise MeshError(
             f"No element of {edge_length_mm:.4g} mm is inside the body; choose a smaller edge"
             " length."
         )
-    points, tets, _ = compact(cut.points, cut.tets)
+    points, tets, _ = compact(mesh.points, mesh.tets[inside])
     try:
-        return TetMesh.create(_with_flat_sides(points, tets, cut), tets)
+        return TetMesh.create(_with_flat_sides(points, tets, low, cell), tets)
     except MeshError as error:
         raise MeshError(
             f"The body cannot be meshed with edges of {edge_length_mm:.4g} mm: {error} Parts that"
@@ -57,8 +48,11 @@ def lattice_mesh(shape: Shape, edge_length_mm: Real) -> TetMesh:
         ) from error
 
 
-def _cut(shape: Shape, edge: float) -> _Cut:
-    """Elements of a lattice inside a shape; planes of the lattice are sides of its box."""
+def _cut(shape: Shape, edge: float) -> tuple[TetMesh, np.ndarray, np.ndarray, np.ndarray]:
+    """Return a lattice, its elements inside a shape, the low corner of this, and the cell.
+
+    Planes of the lattice are sides of the shape's box.
+    """
     low, high = shape.bounds()
     counts = np.maximum(np.round((high - low) * _MEAN_EDGE / edge).astype(int), _MIN_CELLS)
     require_few(edge, float(np.prod(counts + 2)), MAX_CELLS, "cells")
@@ -72,14 +66,14 @@ def _cut(shape: Shape, edge: float) -> _Cut:
         return np.where(np.abs(distances) < tolerance, 0.0, distances)
 
     found = conform(whole, [ClosedSurface(level, None)])
-    return _Cut(found.mesh.points, found.mesh.tets[found.sides[0] < 0], low, cell)
+    return found.mesh, found.sides[0] < 0, low, cell
 
 
-def _with_flat_sides(points: Points, tets: Tets, cut: _Cut) -> Points:
+def _with_flat_sides(points: Points, tets: Tets, low: np.ndarray, cell: np.ndarray) -> Points:
     """Move nodes near the sides of the bounding box onto them, where elements stay valid."""
     sizes = np.array(np.ptp(points, axis=0))
-    sides = cut.low, cut.low + np.round(sizes / cut.cell) * cut.cell
+    sides = low, low + np.round(sizes / cell) * cell
     moved = points
     for side in sides:
-        moved = np.where(np.abs(moved - side) < _ON_SIDE * cut.cell, side, moved)
+        moved = np.where(np.abs(moved - side) < _ON_SIDE * cell, side, moved)
     return without_flat_elements(points, moved, tets)

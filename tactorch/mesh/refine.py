@@ -33,14 +33,6 @@ _FEW = 0.02
 MIN_RELATIVE_SIZE = 1e-4
 
 
-class Bisection(NamedTuple):
-    """Elements after one pass of bisections; new nodes are numbered after the existing ones."""
-
-    ends: Int[np.ndarray, "k 2"]  # existing nodes whose mid-point each new node is
-    tets: Int[np.ndarray, "fine 4"]  # elements, oriented as before
-    origins: Int[np.ndarray, " fine"]  # element that each is, or is a half of
-
-
 @dataclass(frozen=True, eq=False)
 class Refinement:
     """A mesh and its nested refinement; n coarse nodes, k new nodes, m coarse elements.
@@ -141,11 +133,10 @@ def refine(mesh: TetMesh, sizing: Sizing) -> Refinement:
 
     large = is_large(tets)
     while large.any():
-        bisection = bisect(points, tets, large)
-        origins, tets = bisection.origins, bisection.tets
+        halved, tets, origins = _bisect(points, tets, large)
         parents, large = parents[origins], large[origins]
-        points = np.concatenate((points, points[bisection.ends].mean(axis=1)))
-        ends.append(bisection.ends)
+        points = np.concatenate((points, points[halved].mean(axis=1)))
+        ends.append(halved)
         is_half = np.bincount(origins)[origins] > 1
         large[is_half] = is_large(tets[is_half])
         if len(tets) > MAX_ELEMENTS:
@@ -164,12 +155,17 @@ def edge_lengths(points: Points, tets: Tets) -> Float[np.ndarray, "m 6"]:
     return np.linalg.norm(ends[:, :, 0] - ends[:, :, 1], axis=2)
 
 
-def bisect(points: Points, tets: Tets, large: Bool[np.ndarray, " m"]) -> Bisection:
+def _bisect(
+    points: Points, tets: Tets, large: Bool[np.ndarray, " m"]
+) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, "fine 4"], Int[np.ndarray, " fine"]]:
     """Bisect the terminal edges of the longest-edge paths that start at some elements.
 
     A path leads from an element to the other elements of its longest edge, and so on. A terminal
     edge is the longest of all its elements, so that bisecting it is conforming. Passes are repeated
     until the elements where paths start, of which there is at least one, are bisected.
+
+    Returns:
+        The nodes of the bisected edges, and elements and origins as of `halve`.
     """
     n, reached = len(points), large.copy()
     whole = np.full(n, large.mean() > _FEW)  # nodes of which all elements are considered
@@ -183,7 +179,7 @@ def bisect(points: Points, tets: Tets, large: Bool[np.ndarray, " m"]) -> Bisecti
     own = np.full(len(tets), len(paths.edges))
     own[near] = paths.longest
     edges, terminal = np.append(paths.edges, [[0, 0]], axis=0), np.append(paths.terminal, False)
-    return Bisection(edges[terminal], *halve(tets, edges, own, terminal, n))
+    return edges[terminal], *halve(tets, edges, own, terminal, n)
 
 
 class _Paths(NamedTuple):
