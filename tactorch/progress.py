@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, TypeAlias
 
 _log = logging.getLogger("tactorch")
 _BRIEF_S = 1.0  # computations that are not kept on the screen
@@ -24,17 +24,6 @@ _PAUSE_S = 5.0  # between computations that follow each other without a sign of 
 _TICK_S = 1.0
 
 Update: TypeAlias = Callable[[str], None]
-
-
-@runtime_checkable
-class _Line(Protocol):
-    """Shows the label and the state of a computation."""
-
-    def show(self, text: str) -> None:
-        """Show text in place of that before."""
-
-    def close(self, seconds: float) -> None:
-        """End after a time."""
 
 
 @contextmanager
@@ -76,7 +65,7 @@ def noted(text: str) -> Iterator[None]:
 class _Computation:
     """A computation that is shown, with its state."""
 
-    def __init__(self, label: str, line: _Line) -> None:
+    def __init__(self, label: str, line: "_TerminalLine | _PlainLine") -> None:
         self._label, self._line = label, line
         self.state = ""
         self.update("")
@@ -119,7 +108,7 @@ def _outermost(label: str, show: bool | None) -> Iterator[Update]:
             line.close(time.monotonic() - start)
 
 
-def _new_line(forced: bool) -> _Line | None:
+def _new_line(forced: bool) -> "_TerminalLine | _PlainLine":
     if in_notebook():
         return _NotebookLine()
     if forced or is_terminal(sys.stderr):
