@@ -68,11 +68,16 @@ FORMAT = "tactorch-samples"
 VERSION = 1
 MANIFEST_FORMAT = "tactorch-dataset"
 RECIPE, MANIFEST, PARTIAL = "recipe.json", "manifest.json", "partial"
-_GROUP = "touch"
-_IMAGES = {"images": 4, "reference": 3}  # number of dimensions
-_SINGLE = {
-    "markers_px": 3, "rest_markers_px": 2, "gel_points": 2, "gel_displacement": 3,
-    "gel_forces": 3, "poses": 3, "first_poses": 3, "mm_per_px": 1,
+_GROUP, _HEIGHTS = "touch", "height_mm"  # heights may be absent
+#: Of the arrays of a touch: kind and number of dimensions for reading, and type in the file.
+_ARRAYS: dict[str, tuple[str, int, Any]] = {
+    "images": ("i", 4, np.uint8), "reference": ("i", 3, np.uint8),
+    "markers_px": ("f", 3, np.float32), "rest_markers_px": ("f", 2, np.float32),
+    "gel_points": ("f", 2, np.float32), "gel_displacement": ("f", 3, np.float32),
+    "gel_forces": ("f", 3, np.float32), "poses": ("f", 3, np.float32),
+    "first_poses": ("f", 3, np.float32), "mm_per_px": ("f", 1, np.float32),
+    "marker_visible": ("b", 2, np.uint8), "place": ("i", 1, np.int64),
+    _HEIGHTS: ("f", 3, np.float32),
 }  # fmt: skip
 
 
@@ -114,12 +119,9 @@ def write_shard(path: Path, parts: Mapping[int, bytes], failed: Mapping[int, str
 
 
 def _write_touch(group: "h5py.Group", touch: Touch) -> None:
-    for name in (*_IMAGES, *_SINGLE):
-        write_array(group, name, getattr(touch, name))
-    write_array(group, "marker_visible", touch.marker_visible.astype(np.uint8))
-    write_array(group, "place", touch.place.astype("<i8"))
-    if touch.height_mm is not None:
-        write_array(group, "height_mm", touch.height_mm)
+    for name, (_, _, stored) in _ARRAYS.items():
+        if (values := getattr(touch, name)) is not None:
+            write_array(group, name, values.astype(stored))
 
 
 def _copy(part: "h5py.File", shard: "h5py.File", name: str) -> None:
@@ -150,20 +152,10 @@ def read_touch(reader: Hdf5Reader) -> Touch | None:
     """
     if not reader.has(_GROUP):
         return None
-    images = {
-        name: reader.array(f"{_GROUP}/{name}", "i", (None,) * count).astype(np.uint8)
-        for name, count in _IMAGES.items()
-    }
-    single = {name: _single(reader, name, count) for name, count in _SINGLE.items()}
-    has_heights = reader.has(f"{_GROUP}/height_mm")
-    return Touch(
-        **images,
-        **single,
-        height_mm=_single(reader, "height_mm", 3) if has_heights else None,
-        marker_visible=reader.array(f"{_GROUP}/marker_visible", "b", (None, None)),
-        place=reader.array(f"{_GROUP}/place", "i", (None,)),
-    )
-
-
-def _single(reader: Hdf5Reader, name: str, count: int) -> np.ndarray:
-    return reader.array(f"{_GROUP}/{name}", "f", (None,) * count).astype(np.float32)
+    arrays: dict[str, Any] = {_HEIGHTS: None}
+    for name, (kind, count, stored) in _ARRAYS.items():
+        path = f"{_GROUP}/{name}"
+        if name != _HEIGHTS or reader.has(path):
+            values = reader.array(path, kind, (None,) * count)
+            arrays[name] = values if kind == "b" else values.astype(stored)
+    return Touch(**arrays)

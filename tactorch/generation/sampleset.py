@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from tactorch.display import Summarized
 from tactorch.errors import FileError, RecordingError, TactorchError
 from tactorch.files import checksum, parse_json, read_json, require_file, require_folder
 from tactorch.generation.layout import (
@@ -56,7 +57,7 @@ class SampleMaps:
     pushes: Float[np.ndarray, "k 3"] | None
 
 
-class SampleSet:
+class SampleSet(Summarized):
     """A finished dataset on disk. Each process opens a shard when it is first needed.
 
     `tactorch.learning.TouchDataset` has its samples as tensors.
@@ -103,10 +104,6 @@ class SampleSet:
             f"{len(self)} samples in {len(shards)} shards of {self.folder}, {len(failed)} failed\n"
             f"{sum(shard['bytes'] for shard in shards) / 1e6:.3g} MB"
         )
-
-    def __repr__(self) -> str:
-        lines = self.summary().splitlines()
-        return "\n  ".join(["SampleSet", *lines])
 
     def __len__(self) -> int:
         return len(self.indices)
