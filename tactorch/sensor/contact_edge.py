@@ -10,6 +10,7 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from tactorch.mesh.closest import closest_points
+from tactorch.mesh.topology import triangle_edges
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.gel import EdgeDistance
 
@@ -54,8 +55,7 @@ def surface_edge(
 ) -> EdgeDistance:
     """Return the distance from the outline of triangles in the frame of the sensor, along z."""
     flat = np.pad(points[:, :2], ((0, 0), (0, 1)))
-    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    unique, counts = np.unique(edges, axis=0, return_counts=True)
+    unique, counts = np.unique(triangle_edges(triangles), axis=0, return_counts=True)
     starts, ends = points[unique[counts == 1].T, :2]
 
     def distance(rest: Positions) -> Distances:

@@ -8,7 +8,7 @@ import io
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -28,7 +28,7 @@ from tactorch.config import Options, option
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import natural_key, require_file, require_folder
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.times import read_times
+from tactorch.sensor.table import read_rows
 
 #: RGB image with 8 bits per channel.
 Image = UInt8[np.ndarray, "_ _ 3"]
@@ -330,8 +330,26 @@ def _folder_frames(path: Path) -> Iterator[Frame]:
     )
     if not files:
         raise FileError(f"folder of frames '{path}' has no image ({', '.join(IMAGE_SUFFIXES)}).")
-    times = read_times(folder, files)
+    times = _read_times(folder / "times.csv", files)
     return (_image_frame(index, file, times.get(file.name)) for index, file in enumerate(files))
+
+
+def _read_times(path: Path, files: Sequence[Path]) -> dict[str, float]:
+    """Return times since the first frame (s) by file name; none where there is no table."""
+    if not path.exists():
+        return {}
+    rows = read_rows(path, "times of frames", ("frame", "time_s"))
+    times = {row.text("frame"): row.number("time_s") for row in rows}
+    missing = [file.name for file in files if file.name not in times]
+    if missing:
+        raise FileError(
+            f"'{path}' has no time of {missing[0]}, and of {len(missing)} images in all; add them,"
+            " or remove the file."
+        )
+    in_order = np.array([times[file.name] for file in files])
+    if not (np.isfinite(in_order).all() and (np.diff(in_order) > 0).all()):
+        raise FileError(f"'{path}': time_s must rise with the names of the images; repair it.")
+    return times
 
 
 def _image_frame(index: int, path: Path, time_s: float | None) -> Frame:

@@ -6,6 +6,7 @@ from jaxtyping import Float, Int
 
 from tactorch.errors import ConfigError
 from tactorch.mesh.closest import Closest, closest_points
+from tactorch.mesh.geometry import area_vectors
 from tactorch.mesh.quadrature import lattice
 from tactorch.mesh.tractions import LoadedSurface
 
@@ -92,11 +93,9 @@ def _products(
     points: Points, nodes: Nodes, triangles: Triangles, sources: Int[np.ndarray, "s 3"]
 ) -> tuple[sp.csr_matrix, LoadedSurface]:
     """Integrals of products of the hat functions of both surfaces (n, k), mm^2, and the sources."""
-    corners = points[sources]
-    sides = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    areas = 0.5 * np.linalg.norm(np.cross(*sides), axis=1)
+    areas = np.linalg.norm(area_vectors(points, sources), axis=1)
     shares = lattice(_STEPS + 1, _MARGIN, 3)
-    samples = np.einsum("pc,tcd->tpd", shares, corners).reshape(-1, 3)
+    samples = np.einsum("pc,tcd->tpd", shares, points[sources]).reshape(-1, 3)
     closest = closest_points(nodes, triangles, samples)
     sizes = np.repeat(areas / len(shares), len(shares))
     weights = np.tile(shares, (len(sources), 1)) * sizes[:, None]

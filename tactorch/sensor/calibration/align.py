@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from tactorch.sensor.calibration.ball import Ball, BallPress, Circle
 
@@ -107,9 +107,10 @@ def _draw_samples(
     rng: np.random.Generator,
 ) -> _Samples:
     distance = np.hypot(*ball.offsets(press.shape, Circle(center, 2.0)))
-    inside = _draw(rng, press.known & (distance < _INSIDE * radius_mm), _PIXELS)
-    flat = _draw(rng, press.known & (distance > _FLAT * radius_mm), _FLAT_PIXELS)
-    rows, columns = inside
+    near, far = distance < _INSIDE * radius_mm, distance > _FLAT * radius_mm
+    inside = draw(rng, np.flatnonzero(press.known & near), _PIXELS)
+    flat = draw(rng, np.flatnonzero(press.known & far), _FLAT_PIXELS)
+    rows, columns = np.unravel_index(inside, press.shape)
 
     def slopes(x: float, y: float) -> np.ndarray:
         return ball.slopes_at(ball.offsets_at(columns, rows, (x, y)))
@@ -118,8 +119,9 @@ def _draw_samples(
     along = [slopes(x + _STEP_PX, y) - at, slopes(x, y + _STEP_PX) - at]
     by_center = np.stack(along, axis=-1) / _STEP_PX
     lines = [_line_means(press, ball, center, radius_mm, axis) for axis in range(2)]
-    rows_inside, rows_flat = _terms(press.change[inside]), _terms(press.change[flat])
-    return _Samples(rows_inside, rows_flat, (lines[0], lines[1]), at, by_center)
+    colors = press.change.reshape(-1, 3)
+    terms = _terms(colors[inside]), _terms(colors[flat])
+    return _Samples(*terms, (lines[0], lines[1]), at, by_center)
 
 
 def _line_means(
@@ -145,10 +147,6 @@ def _terms(colors: Float[np.ndarray, "n 3"]) -> Rows:
     return np.concatenate([colors, colors[:, a] * colors[:, b]], axis=1)
 
 
-def _draw(
-    rng: np.random.Generator, mask: Bool[np.ndarray, "h w"], count: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Draw pixels of a mask: rows and columns."""
-    rows, columns = np.nonzero(mask)
-    chosen = rng.choice(len(rows), min(count, len(rows)), replace=False)
-    return rows[chosen], columns[chosen]
+def draw(rng: np.random.Generator, pixels: np.ndarray, count: int) -> np.ndarray:
+    """Draw a number of pixels, or all where there are fewer."""
+    return rng.choice(pixels, min(count, len(pixels)), replace=False)

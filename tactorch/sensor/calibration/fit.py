@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
-from tactorch.sensor.calibration.align import align_contacts
+from tactorch.sensor.calibration.align import align_contacts, draw
 from tactorch.sensor.calibration.ball import Ball, BallPress, Circle
 from tactorch.sensor.calibration.maps import (
     SENSOR_MAPS,
@@ -227,16 +227,12 @@ def _fit_map_to_contacts(
             radius = min(radius, _resolved_radius(press, found_by, ball))
         rows = pixel_features(press.change)
         distance = np.where(press.known, ball.distance(press.shape, circle), np.nan).ravel()
-        inside = _draw(rng, np.flatnonzero(distance * circle.radius_px < radius), _PIXELS)
+        inside = draw(rng, np.flatnonzero(distance * circle.radius_px < radius), _PIXELS)
         if not len(inside):
             raise ConfigError(f"{press.name}: markers cover the whole contact; leave it out.")
-        flat = _draw(rng, np.flatnonzero(distance > FLAT_RADIUS), _FLAT_PIXELS)
+        flat = draw(rng, np.flatnonzero(distance > FLAT_RADIUS), _FLAT_PIXELS)
         features += [rows[inside], rows[flat]]
         slopes += [
             ball.slopes(press.shape, circle).reshape(-1, 2)[inside], np.zeros((len(flat), 2))
         ]  # fmt: skip
     slope_map.fit(np.concatenate(features), np.concatenate(slopes), seed)
-
-
-def _draw(rng: np.random.Generator, pixels: np.ndarray, count: int) -> np.ndarray:
-    return rng.choice(pixels, min(count, len(pixels)), replace=False)

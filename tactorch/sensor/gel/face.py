@@ -12,6 +12,7 @@ from scipy.spatial.distance import cdist
 from tactorch.mesh import TetMesh
 from tactorch.mesh.geometry import vertex_areas, without_flat_elements
 from tactorch.mesh.refine import Sizing
+from tactorch.mesh.topology import triangle_edges
 from tactorch.sensor.description import GelLayer
 from tactorch.sensor.gel.model import GelMesh, face_triangles
 
@@ -169,7 +170,7 @@ def _closest_to_edge(
     Of the three points of a triangle, which would become flat, one remains. `movable` are the
     distances of points that may move, infinite for others.
     """
-    edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0)
+    edges = np.unique(triangle_edges(triangles), axis=0)
     crossed = edges[away[edges[:, 0]] * away[edges[:, 1]] < 0.0]
     neighbors: dict[int, list[int]] = {}
     for first, second in crossed.tolist():
