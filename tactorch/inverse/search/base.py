@@ -1,6 +1,5 @@
 """The presses of a search for inclusions: predictions, data with their errors, fits and trials."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from threading import Lock
@@ -28,6 +27,7 @@ from tactorch.inverse.search.model import (
     Start,
     falls_short,
     gain,
+    make_posterior,
     rivals,
     with_ball,
 )
@@ -44,7 +44,7 @@ ROUGH, FINE = 0.5, 0.02
 Proposals: TypeAlias = Callable[["SearchProblem", Model], Iterable[Start]]
 
 
-class SearchProblem(ABC):
+class SearchProblem:
     """The presses of a search, and what differs between searches.
 
     Args:
@@ -98,9 +98,9 @@ class SearchProblem(ABC):
         self.max_shapes = max_shapes
         self._stop, self._is_stopped, self._lock = stop, False, Lock()
 
-    @abstractmethod
     def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
         """Return the posterior of a final model, and the model or one of more evidence."""
+        return model, make_posterior(model, self.sites)
 
     def provisional(self) -> ShapeFit:
         """Return a quick answer by the reduced model: a further inclusion in a uniform body.
@@ -138,7 +138,7 @@ class SearchProblem(ABC):
         Raises:
             ConvergenceError: it has no equilibrium under the recorded forces.
         """
-        return self.fit(start, None)
+        return self.precise(self.fit(start, None))
 
     def uniform(self) -> Model:
         """Fit the uniform body."""

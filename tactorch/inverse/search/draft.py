@@ -30,7 +30,7 @@ from tactorch.inverse.search.draft_errors import (
     with_errors,
 )
 from tactorch.inverse.search.matched import MatchedFilter
-from tactorch.inverse.search.model import Model, Start, TimeLimit, make_posterior
+from tactorch.inverse.search.model import Model, Start, TimeLimit
 from tactorch.inverse.search.proposals import further, removed
 from tactorch.inverse.search.search import search
 from tactorch.recording import Recording
@@ -71,7 +71,7 @@ class _Presses(SearchProblem):
 
     def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
         """Return the posterior, with the error of the positions of presses."""
-        posterior = make_posterior(model, self.sites)
+        _, posterior = super().posterior(model)
         covariance = posterior.covariance.copy()
         for k in range(len(model.fit.field.families)):
             center = posterior.field.index(k, *CENTER)

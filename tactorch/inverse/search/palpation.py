@@ -23,10 +23,9 @@ from tactorch.inverse.fit.shapes import ShapeFit
 from tactorch.inverse.forward.palpation import PALPATION_ELEMENT, PalpationProblem, group_places
 from tactorch.inverse.forward.problem import Evaluation
 from tactorch.inverse.forward.reduced import ReducedProblem
-from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.search.base import ROUGH, SearchProblem
 from tactorch.inverse.search.matched import MatchedFilter
-from tactorch.inverse.search.model import MIN_GAIN, Model, Start, make_posterior, rivals
+from tactorch.inverse.search.model import MIN_GAIN, Model, rivals
 from tactorch.inverse.search.proposals import backgrounds, changed, further, other_errors
 from tactorch.inverse.search.slabs import simpler_background, slabs
 from tactorch.mesh.geometry import farthest_point_order
@@ -106,10 +105,6 @@ class PalpationSearch(SearchProblem):
         """Matched filter of these."""
         return MatchedFilter.of(self.reduced, self._are_resolved)
 
-    def first(self, start: Start) -> Model:
-        """Fit the first model of a search, about which the reduced model is linearised."""
-        return self.precise(super().first(start))
-
     def precise(self, model: Model) -> Model:
         """Return an accepted model, about which the reduced model is linearised.
 
@@ -126,9 +121,6 @@ class PalpationSearch(SearchProblem):
         """
         for rival in rivals(model, removed):
             yield rival.errors, self.challenge(rival, model, _CERTAIN).fit
-
-    def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
-        return model, make_posterior(model, self.sites)
 
     @cached_property
     def groups(self) -> Int[np.ndarray, " data"]:
