@@ -16,7 +16,7 @@ from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.files import require_file
 from tactorch.mesh import BodyFile, Box, Cylinder, Hemisphere, Hyperboloid, Lathe, Shape
-from tactorch.phantoms.draws import RandomBody, RandomPhantom, Range, Rng, check_ranges
+from tactorch.phantoms.draws import Proposal, RandomBody, Range, Rng, check_ranges
 
 _Body = Literal["box", "cylinder", "hemisphere", "hyperboloid", "lathe"]
 _PROFILE_POINTS = 33  # of a random lathe
@@ -39,17 +39,12 @@ class BodiesFamily(RandomBody):
         super().__post_init__()
         check_ranges(self, "width_mm", "height")
 
-    def draw(self, rng: Rng) -> RandomPhantom:
-        """Draw a phantom.
-
-        Raises:
-            ConfigError: No inclusion fits; make `size` or `count` smaller.
-        """
+    def _body(self, rng: Rng) -> Proposal:
         name = str(rng.choice(self.bodies))
         width = float(rng.uniform(*self.width_mm))
         height = width * float(rng.uniform(*self.height))
-        body = _BODIES[name](rng, width, height)
-        return self._filled(rng, body, {"body": name, "width_mm": width, "height_mm": height})
+        facts = {"body": name, "width_mm": width, "height_mm": height}
+        return _BODIES[name](rng, width, height), facts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,23 +59,12 @@ class FileFamily(RandomBody):
         if self.file is None:
             raise ConfigError("family.file is required: the surface or mesh of the body.")
 
-    @property
-    def _body(self) -> BodyFile:
-        return BodyFile(str(self.file), self.unit)
-
     def content_hash(self) -> str:
         """Return the SHA-256 of the file."""
         return sha256(require_file(str(self.file), "body").read_bytes()).hexdigest()
 
-    def draw(self, rng: Rng) -> RandomPhantom:
-        """Draw a phantom.
-
-        Raises:
-            ConfigError: No inclusion fits; make `size` or `count` smaller.
-            FileError: The file cannot be read.
-            MeshError: The surface does not bound one body.
-        """
-        return self._filled(rng, self._body, {"body": Path(str(self.file)).name})
+    def _body(self, rng: Rng) -> Proposal:
+        return BodyFile(str(self.file), self.unit), {"body": Path(str(self.file)).name}
 
 
 def _box(rng: Rng, width: float, height: float) -> Shape:

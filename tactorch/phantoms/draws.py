@@ -3,6 +3,7 @@
 Lengths in mm, moduli in MPa.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -55,7 +56,7 @@ class RandomPhantom:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RandomBody(Options):
+class RandomBody(Options, ABC):
     """Settings of a body with random inclusions in a random background."""
 
     section = "family"
@@ -87,8 +88,19 @@ class RandomBody(Options):
         super().__post_init__()
         check_ranges(self, "count", "size", "youngs_mpa", "contrast")
 
-    def _filled(self, rng: Rng, body: Shape, parameters: dict[str, Any]) -> RandomPhantom:
-        """Draw the inside of a body; inclusions without room are left out after the first."""
+    @abstractmethod
+    def _body(self, rng: Rng) -> Proposal:
+        """Draw the body, and its parameters as plain values."""
+
+    def draw(self, rng: Rng) -> RandomPhantom:
+        """Draw a phantom; inclusions without room are left out after the first.
+
+        Raises:
+            ConfigError: No inclusion fits; make `size` or `count` smaller.
+            FileError: The body is of a file that cannot be read.
+            MeshError: The surface of the file does not bound one body.
+        """
+        body, parameters = self._body(rng)
         low, high = body.bounds()
         youngs = _log_uniform(rng, self.youngs_mpa)
         count = int(rng.integers(self.count[0], self.count[1] + 1))

@@ -76,13 +76,8 @@ class InclusionsFamily(RandomBody):
     )
     gap: float = option(0.03, "Minimum distance between inclusions, in sides", ge=0)
 
-    def draw(self, rng: Rng) -> RandomPhantom:
-        """Draw a phantom; inclusions without room are left out.
-
-        Raises:
-            ConfigError: No inclusion fits; make `size` or `count` smaller.
-        """
-        return self._filled(rng, cube_body(self.side_mm), {})
+    def _body(self, rng: Rng) -> Proposal:
+        return cube_body(self.side_mm), {}
 
 
 FAMILIES = Registry(
