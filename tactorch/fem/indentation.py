@@ -172,8 +172,8 @@ class Indentation:
             self.unit_compliance[chunk] = compliance[:, :-1, :-1]
             difference = exact[chunk] - compliance
             self.missed[chunk] = difference[:, :-1, :-1] - difference[:, -1:, -1:]
-            alone = fields.reshape(len(fields), -1, len(chunk))[:, narrowest]
-            energies = self.energies(alone, slice(None), len(chunk), per_point=False)[0]
+            alone = _Part(chunk, fields.reshape(len(fields), -1, len(chunk))[:, narrowest])
+            energies = self.energies(alone, slice(None))[0]
             squares = (energies / energies.max(axis=0)) ** 2
             squares[squares < _NO_SHARE] = 0.0
             shares.append(sp.csr_matrix(squares / squares.sum(axis=0)))
@@ -226,35 +226,32 @@ class Indentation:
 
     def energies(
         self,
-        fields: Float[np.ndarray, "unknowns _"],
+        part: "_Part",
         elements: slice | Int[np.ndarray, " e"],
-        places: int,
         *,
-        per_point: bool,
-        nodes: Int[np.ndarray, "m _"] | None = None,
+        per_point: bool = False,
         moduli: Float[np.ndarray, "m q"] | float = 1.0,
     ) -> Float[np.ndarray, "pairs moduli s"]:
         """Return the strain energies between fields at some moduli: minus dC/dE at 1, mm^3/N^2.
 
         Args:
-            fields: Displacements by unit loads, mm/N.
+            part: Displacements by unit loads.
             elements: The elements.
-            places: Number of places.
             per_point: Whether moduli are those of quadrature points.
-            nodes: Rows of the fields for the nodes of each element, if not those of the body.
             moduli: Those of the quadrature points, MPa.
         """
         assembly = self.body.assembly
-        nodes = self.body.discretisation.nodes if nodes is None else nodes
+        nodes = self.body.discretisation.nodes if part.nodes is None else part.nodes
         poisson = np.broadcast_to(np.asarray(assembly.poisson), len(assembly.weights))[elements]
         first, second = (np.ascontiguousarray(value) for value in lame(poisson))
         weights = (assembly.weights * moduli)[elements]
-        k = fields.shape[1] // places
+        places = len(part.places)
+        k = part.fields.shape[1] // places
         sites = weights.shape[1] if per_point else 1
         out = np.zeros((k * (k + 1) // 2, len(weights) * sites, places), dtype=np.float32)
         kernels.strain_energies(
             nodes[elements], assembly.gradients[elements], weights, first, second,
-            np.ascontiguousarray(fields).reshape(-1, 3, k, places), out,
+            np.ascontiguousarray(part.fields).reshape(-1, 3, k, places), out,
         )  # fmt: skip
         return out
 
@@ -471,10 +468,8 @@ class IndentedBody:
     ) -> Float[np.ndarray, "pairs moduli s"]:
         """Return the energies of elements per unit modulus, or with their moduli."""
         moduli = self.youngs.reshape(len(self.youngs), -1) if logarithmic else 1.0
-        return self._indentation.energies(
-            part.fields, elements, len(part.places), nodes=part.nodes, moduli=moduli,
-            per_point=self.youngs.ndim == 2 and not logarithmic,
-        )  # fmt: skip
+        per_point = self.youngs.ndim == 2 and not logarithmic
+        return self._indentation.energies(part, elements, per_point=per_point, moduli=moduli)
 
     @property
     def _pairs(self) -> int:
