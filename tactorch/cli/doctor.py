@@ -270,10 +270,6 @@ def _press() -> str:
     return f"stretch {stretch:.6f}, as in theory"
 
 
-def _system() -> str:
-    return f"{platform.system()} {platform.machine()}"
-
-
 def _cores() -> str:
     total = os.cpu_count() or 1
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else total
@@ -409,7 +405,10 @@ def _video() -> str:
 
 #: Package of each solver, in the order in which solver=auto takes them.
 _SOLVERS = {"pardiso": "pypardiso", "superlu": "scipy", "multigrid": "pyamg", "torch_cg": "torch"}
-_FACTS = {"system": _system, "cores": _cores, "threads": _threads, "memory": _memory}
+_FACTS = {
+    "system": lambda: f"{platform.system()} {platform.machine()}",
+    "cores": _cores, "threads": _threads, "memory": _memory,
+}  # fmt: skip
 _REINSTALL = "pip install --force-reinstall"
 CHECKS = (
     Check("packages", "python", platform.python_version),

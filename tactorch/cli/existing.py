@@ -16,7 +16,7 @@ CONTINUING = ("live", "generate", "reproduce")
 _SHOWN = 3  # results in a message
 
 
-def check_file(path: Path, overwrite: bool, setting: str = "out") -> None:
+def check_file(path: Path, overwrite: bool) -> None:
     """Refuse, before the work, a file that exists or that cannot be written.
 
     Raises:
@@ -25,8 +25,7 @@ def check_file(path: Path, overwrite: bool, setting: str = "out") -> None:
     """
     if path.is_file() and not overwrite:
         raise ConfigError(
-            f"{setting}={path} exists; give overwrite=true to replace it, or {setting}=... with "
-            "another name."
+            f"out={path} exists; give overwrite=true to replace it, or out=... with another name."
         )
     folder = path.parent
     try:
@@ -35,7 +34,7 @@ def check_file(path: Path, overwrite: bool, setting: str = "out") -> None:
             pass
     except OSError as error:
         raise FileError(
-            f"{setting}={path}: nothing can be written into '{folder}' ({error.strerror}); choose "
+            f"out={path}: nothing can be written into '{folder}' ({error.strerror}); choose "
             "another folder, or check its permissions and the free space."
         ) from error
 
@@ -54,7 +53,8 @@ def check_run_folder(command: str, words: Sequence[str]) -> None:
     folder = Path(typed["run_dir"])
     if "${" in typed["run_dir"] and "${hydra" not in typed["run_dir"]:
         folder = Path(compose_options(command, words).run_dir)
-    if _is_same(folder, typed.get("resume", "")):
+    resumed = typed.get("resume", "")
+    if resumed and os.path.realpath(folder) == os.path.realpath(resumed):
         return
     results, earlier = _results(folder), command_of(folder)
     if not results or earlier is None:
@@ -75,10 +75,6 @@ def check_run_folder(command: str, words: Sequence[str]) -> None:
         )
     for log in (*folder.glob(f"{earlier}.log"), *folder.glob(f"*/{earlier}.log")):
         log.unlink()
-
-
-def _is_same(folder: Path, other: str) -> bool:
-    return bool(other) and os.path.realpath(folder) == os.path.realpath(other)
 
 
 def _results(folder: Path) -> list[str]:

@@ -31,7 +31,7 @@ def help_text(command: str, words: Sequence[str] = ()) -> str:
         parts += ["Groups (GROUP=OPTION); * marks what is chosen:", "\n".join(groups)]
     chosen: list[str] = []
     for group, option in known.items():
-        settings = schema.option_settings(group, option)
+        settings = schema.component(group, option)["settings"]
         if settings and group != EXPERIMENT:
             chosen += [f"  {group}: ({option})", *_settings(settings, "    ")]
     if chosen:

@@ -71,12 +71,11 @@ class Schema:
         """Return the options of a group, or the experiments, by name."""
         return dict(self.experiments if group == EXPERIMENT else self.groups[group]["options"])
 
-    def option_settings(self, group: str, option: str | None) -> list[Entry]:
-        """Return the settings of an option; none of an experiment or an unknown option."""
-        return list(self.component(group, option)["settings"])
-
     def component(self, group: str, option: str | None) -> dict[str, Any]:
-        """Return what is known of an option; that of another package is imported for it."""
+        """Return what is known of an option; that of another package is imported for it.
+
+        An experiment or an unknown option has no settings.
+        """
         options = self.groups[group]["options"] if group in self.groups else {}
         described = options.get(option, {"settings": []})
         if described.pop(_PACKAGE, None):
@@ -108,7 +107,7 @@ class Schema:
         """Return every setting by its full name, such as "optimizer.tolerance"."""
         entries = {entry["name"]: entry for entry in self.settings}
         for group, option in choices.items():
-            for entry in self.option_settings(group, option):
+            for entry in self.component(group, option)["settings"]:
                 entries[f"{group}.{entry['name']}"] = entry
         return entries
 

@@ -105,7 +105,8 @@ def palpation_figure(recording: Recording) -> Figure:
     presses = [press for press in recording.presses if press.probe is not None]
     across = plane_across(push_direction(presses[0]))
     deepest = _deepest(presses, across)
-    forces = np.array([_force(press) for press in deepest])
+    measured = [press.force for press in deepest]
+    forces = np.array([np.nan if f is None else np.abs(f.values).max() for f in measured])
     figure, axes = new_axes(6.0, 5.0)
     known = np.isfinite(forces)
     x, y = across @ np.array([_tip(press) for press in deepest]).T
@@ -129,10 +130,6 @@ def _deepest(presses: list[Press], across: Float[np.ndarray, "2 3"]) -> list[Pre
 def _tip(press: Press) -> Float[np.ndarray, "3"]:
     assert press.probe is not None
     return press.probe.position_mm
-
-
-def _force(press: Press) -> float:
-    return float(np.abs(press.force.values).max()) if press.force is not None else np.nan
 
 
 def push_direction(press: Press) -> Float[np.ndarray, "3"]:

@@ -257,10 +257,9 @@ def export_weights(checkpoint: Path, path: Path) -> None:
         FileError: The checkpoint is missing, damaged or of another model.
     """
     network = load_surrogate(checkpoint)
-    state, scales = quantize(network.state_dict(), _bits)
+    state, scales = quantize(
+        network.state_dict(),
+        lambda name: WEIGHT_BITS["coarse grid" if "middle" in name else "others"],
+    )
     content = {"state_dict": state, "scales": scales, "hyper_parameters": dict(network.hparams)}
     write_file(path, compress(content))
-
-
-def _bits(name: str) -> int:
-    return WEIGHT_BITS["coarse grid" if "middle" in name else "others"]
