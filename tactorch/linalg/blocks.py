@@ -46,10 +46,12 @@ class BlockMatrix:
         return out
 
 
-def upper_blocks(
-    pattern: SymmetricPattern, values: Float[np.ndarray, " nnz"], size: int = SIZE
-) -> sp.bsr_matrix:
-    """Return the blocks of the upper triangle of a matrix, sorted; those on the diagonal whole."""
+def upper_blocks(pattern: SymmetricPattern, values: Float[np.ndarray, " nnz"]) -> sp.bsr_matrix:
+    """Return the blocks of the upper triangle of a matrix, sorted; those on the diagonal whole.
+
+    They are of single unknowns where the matrix is not of nodes.
+    """
+    size = SIZE if pattern.size % SIZE == 0 else 1
     upper = sp.csr_matrix((values, pattern.indices, pattern.indptr), shape=(pattern.size,) * 2)
     blocks = upper.tobsr((size, size))
     blocks.sort_indices()
@@ -57,12 +59,6 @@ def upper_blocks(
     diagonal = blocks.data[begins]
     blocks.data[begins] += np.tril(diagonal.swapaxes(1, 2), -1)
     return blocks
-
-
-def diagonal_blocks(matrix: sp.bsr_matrix) -> Float[np.ndarray, "rows b b"]:
-    """Return the blocks on the diagonal of a matrix that has them all."""
-    rows = np.repeat(np.arange(len(matrix.indptr) - 1), np.diff(matrix.indptr))
-    return np.asarray(matrix.data[rows == matrix.indices])
 
 
 @no_type_check

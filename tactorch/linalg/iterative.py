@@ -20,7 +20,7 @@ from torch import Tensor
 
 from tactorch.config import option
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.linalg.blocks import SIZE, diagonal_blocks
+from tactorch.linalg.blocks import upper_blocks
 from tactorch.linalg.conjugate_gradients import conjugate_gradients
 from tactorch.linalg.pattern import SymmetricPattern
 from tactorch.linalg.solver import (
@@ -162,9 +162,9 @@ class TorchCGSolver(IterativeSolver):
 
     def _factor(self, values: np.ndarray) -> bool:
         full = self.pattern.full(values)
-        size = SIZE if self.pattern.size % SIZE == 0 else 1
-        blocks = diagonal_blocks(full.tobsr((size, size)))
-        factors, info = torch.linalg.cholesky_ex(torch.from_numpy(blocks).to(self._device))
+        upper = upper_blocks(self.pattern, values)
+        diagonal = torch.from_numpy(upper.data[upper.indptr[:-1]])
+        factors, info = torch.linalg.cholesky_ex(diagonal.to(self._device))
         if bool(info.any()):  # a diagonal block is indefinite
             return False
         self._inverse_blocks = torch.cholesky_inverse(factors)

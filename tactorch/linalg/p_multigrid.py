@@ -112,15 +112,14 @@ class PMultigridSolver(IterativeSolver):
         return self._cycle is not None
 
     def _new_cycle(self) -> _Cycle | None:
-        size = SIZE if self.pattern.size % SIZE == 0 else 1
-        blocks, interpolation = upper_blocks(self.pattern, self._values, size), self.linear
+        blocks, interpolation = upper_blocks(self.pattern, self._values), self.linear
         if (smoother := _Smoother.of(blocks)) is None:
             return None
         if interpolation is None:
             interpolation = sp.identity(self.pattern.size)
         free = ~fixed_unknowns(self.pattern, self._values)
         interpolation = sp.csr_matrix(sp.diags(free.astype(np.float64)) @ interpolation)
-        by_blocks = interpolation.tobsr((size, size))
+        by_blocks = interpolation.tobsr(blocks.blocksize)
         blocks.data[blocks.indptr[:-1]] *= 0.5
         half = by_blocks.T @ (blocks @ by_blocks)  # the coarse matrix is this and its transpose
         coarse = sp.csr_matrix(half + half.T)

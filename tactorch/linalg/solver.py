@@ -98,7 +98,7 @@ class Solver(ABC):
 
         Raises:
             IndefiniteError: An iterative solver met negative curvature.
-                RuntimeError: There is no factorisation.
+            RuntimeError: There is no factorisation.
         """
         if self.factored is None:
             raise RuntimeError("factor a positive definite matrix before solving")

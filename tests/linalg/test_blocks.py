@@ -6,7 +6,7 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactorch.linalg.blocks import BlockMatrix, diagonal_blocks, upper_blocks
+from tactorch.linalg.blocks import BlockMatrix, upper_blocks
 from tactorch.linalg.pattern import SymmetricPattern
 
 
@@ -55,10 +55,3 @@ def test_a_diagonal_of_blocks_is_applied_block_by_block(rows):
     diagonal = BlockMatrix.of(sp.bsr_matrix((blocks, places[:-1], places)))
     expected = np.einsum("bij,bj->bi", blocks, x.reshape(-1, 3)).ravel()
     np.testing.assert_allclose(diagonal @ x, expected, rtol=1e-5, atol=1e-6)
-
-
-@pytest.mark.parametrize("rows", [1, 7])
-def test_the_diagonal_has_one_block_for_each_node(rows):
-    matrix = _symmetric(rows, rows, 0.5)
-    expected = matrix.toarray().reshape(rows, 3, rows, 3)[np.arange(rows), :, np.arange(rows)]
-    np.testing.assert_array_equal(diagonal_blocks(matrix), expected)
