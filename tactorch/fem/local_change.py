@@ -76,8 +76,8 @@ class GreenFunction:
     def __init__(self, body: SoftBody, stiffness: Stiffness, loads: sp.csr_matrix) -> None:
         self.body, self.loads = body, loads
         self._stiffness = stiffness
-        self._columns: dict[int, np.ndarray] = {}
-        self._moved: dict[int, np.ndarray] = {}
+        # Column of each unknown, and how the loads move it.
+        self._known: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
     def unknowns(self, elements: Int[np.ndarray, " e"]) -> Int[np.ndarray, " u"]:
         """Return the unknowns at the nodes of some elements that are not fixed."""
@@ -88,30 +88,28 @@ class GreenFunction:
     def require(self, unknowns: Int[np.ndarray, " u"]) -> None:
         """Compute the columns of some unknowns that are not known; drop others if they are many."""
         size = self.loads.shape[1]
-        if 4.0 * size * len(self._columns) > _KEPT * work_bytes():
-            kept = [j for j in unknowns.tolist() if j in self._columns]
-            self._columns = {j: self._columns[j] for j in kept}
-            self._moved = {j: self._moved[j] for j in kept}
-        missing = [j for j in unknowns.tolist() if j not in self._columns]
+        if 4.0 * size * len(self._known) > _KEPT * work_bytes():
+            self._known = {j: self._known[j] for j in unknowns.tolist() if j in self._known}
+        missing = [j for j in unknowns.tolist() if j not in self._known]
         if not missing:
             return
         ones, rows = np.ones(len(missing)), np.arange(len(missing))
         unit = sp.csr_matrix((ones, (rows, missing)), shape=(len(missing), size))
         columns = self._stiffness.solve(unit)
         moved = self.loads.astype(np.float32) @ columns
-        self._columns |= {j: columns[:, k].copy() for k, j in enumerate(missing)}
-        self._moved |= {j: moved[:, k].copy() for k, j in enumerate(missing)}
+        for k, j in enumerate(missing):
+            self._known[j] = columns[:, k].copy(), moved[:, k].copy()
 
     def between(
         self, rows: Int[np.ndarray, " r"], columns: Int[np.ndarray, " c"]
     ) -> Float[np.ndarray, "r c"]:
         """Return the compliance between unknowns, mm/N, in double precision."""
-        found = [self._columns[j][rows] for j in columns.tolist()]
+        found = [self._known[j][0][rows] for j in columns.tolist()]
         return np.array(found, dtype=float).reshape(len(found), len(rows)).T
 
     def moved(self, unknowns: Int[np.ndarray, " u"]) -> Float[np.ndarray, "u loads"]:
         """Return the displacements of unknowns by the loads, mm."""
-        moved = [self._moved[j] for j in unknowns.tolist()]
+        moved = [self._known[j][1] for j in unknowns.tolist()]
         return np.array(moved, dtype=np.float32).reshape(len(moved), self.loads.shape[0])
 
 

@@ -242,8 +242,8 @@ class Contact:
         stiff += (weights * inside)[..., None, None] * curvatures.reshape(*shape, 3)
         blocks = np.einsum("qk,ql,tqij->tkilj", self.shape, self.shape, stiff)
         size = 3 * self.nodes.shape[1]
-        total = -pressures.sum(axis=(0, 1))
-        return ContactResponse(energy, forces, rows, blocks.reshape(-1, size, size), -total)
+        total = pressures.sum(axis=(0, 1))
+        return ContactResponse(energy, forces, rows, blocks.reshape(-1, size, size), total)
 
     def _derivatives(
         self, points: Float[np.ndarray, "k 3"]
