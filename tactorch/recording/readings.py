@@ -13,7 +13,6 @@ from tactorch.recording.arrays import make_array, require_finite
 if TYPE_CHECKING:
     from tactorch.fem.contact import Probe
 
-_NO_ROTATION = np.eye(3)
 _ORTHONORMAL = 1e-5  # error of the products of the columns of a rotation
 _RESOLUTION = 1e-3  # of a depth, over the largest distance within a probe
 
@@ -47,7 +46,7 @@ class ProbePose:
                 "least 0 mm"
             )
         _set(self, "probe", position_mm=(3,), rotation=(3, 3))
-        errors = np.abs(self.rotation @ self.rotation.T - _NO_ROTATION)
+        errors = np.abs(self.rotation @ self.rotation.T - np.eye(3))
         if errors.max() > _ORTHONORMAL or np.linalg.det(self.rotation) < 0.0:
             raise RecordingError("probe: rotation is not a rotation; give an orthonormal matrix")
 

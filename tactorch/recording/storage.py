@@ -3,7 +3,7 @@
 import json
 import math
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from io import BytesIO
@@ -50,7 +50,7 @@ class RecordingReader(Hdf5Reader):
         super().__init__(root, source, "recording", _LAYOUT, RecordingError)
         self._mesh = mesh
         self._shared: dict[str, np.ndarray] = {}
-        self._stacks: dict[int, _PressStack] = {}
+        self._stacks: dict[int, Callable[[int], Press]] = {}
         self.version = self.check_format(
             schema.FORMAT, schema.VERSION, f"give the file that {_WRITER} wrote"
         )
@@ -159,8 +159,8 @@ class RecordingReader(Hdf5Reader):
                 path = _path(first)
                 if not self._is_stacked(path):
                     return _read_press(self, path, n_points, self._shared)
-                self._stacks[first] = _PressStack(self, path, n_points)
-            return self._stacks[first].press(index - first)
+                self._stacks[first] = _read_stack(self, path, n_points)
+            return self._stacks[first](index - first)
         import h5py
 
         image = BytesIO(self.tail.image(index - self.tail.first))
@@ -198,27 +198,23 @@ def _read_press(
     return _make_press(reader, path, _read_nodal(reader, path, n_points, shared), values)
 
 
-class _PressStack:
-    """Presses by one probe, with the same nodal fields, that share a group."""
+def _read_stack(reader: Hdf5Reader, path: str, n_points: int) -> Callable[[int], Press]:
+    """Read presses by one probe, with the same nodal fields, that share a group.
 
-    def __init__(self, reader: RecordingReader, path: str, n_points: int) -> None:
-        self._reader, self._path = reader, path
-        steps = reader.array(f"{path}/step", "i", (None,)).tolist()
-        lead = (len(steps),)
-        names = reader.json(f"{path}/names", list)
-        if len(names) != len(steps) or not all(isinstance(name, str) for name in names):
-            raise reader.error(f"dataset '{path}/names' is not a list of {len(steps)} texts")
-        noise = reader.array(f"{path}/noise_mm", "f", lead).tolist()
-        deviations = reader.array(f"{path}/probe/deviation_mm", "f", lead).tolist()
-        noise = [None if math.isnan(value) else value for value in noise]
-        known = {"name": names, "step": steps, "noise_mm": noise, "probe/deviation_mm": deviations}
-        self._values = {**_read_arrays(reader, path, lead), **known}
-        self._nodal = _read_nodal(reader, path, n_points, {})
-
-    def press(self, index: int) -> Press:
-        """Check a press and return it, by its number in the group."""
-        values = {key: each[index] for key, each in self._values.items()}
-        return _make_press(self._reader, self._path, self._nodal, values)
+    The function that is returned checks one of them, by its number in the group.
+    """
+    steps = reader.array(f"{path}/step", "i", (None,)).tolist()
+    lead = (len(steps),)
+    names = reader.json(f"{path}/names", list)
+    if len(names) != len(steps) or not all(isinstance(name, str) for name in names):
+        raise reader.error(f"dataset '{path}/names' is not a list of {len(steps)} texts")
+    noise = reader.array(f"{path}/noise_mm", "f", lead).tolist()
+    deviations = reader.array(f"{path}/probe/deviation_mm", "f", lead).tolist()
+    noise = [None if math.isnan(value) else value for value in noise]
+    known = {"name": names, "step": steps, "noise_mm": noise, "probe/deviation_mm": deviations}
+    values = {**_read_arrays(reader, path, lead), **known}
+    nodal = _read_nodal(reader, path, n_points, {})
+    return lambda index: _make_press(reader, path, nodal, {k: v[index] for k, v in values.items()})
 
 
 def _read_nodal(

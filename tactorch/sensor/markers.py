@@ -141,11 +141,6 @@ def _threshold(darkness: _Darkness, appearance: MarkerAppearance) -> float:
     return max(0.5 * float(np.percentile(spots, 75)), background) if len(spots) else 1.0
 
 
-def _locate_spots(darkness: _Darkness, appearance: MarkerAppearance, threshold: float) -> _Points:
-    labels = _label_spots(np.asarray(darkness > threshold), appearance)
-    return _centroids(darkness, labels, threshold)
-
-
 def _detect(darkness: _Darkness, appearance: MarkerAppearance) -> tuple[_Points, MarkerDiscs, int]:
     """Return the centers of the markers, their discs, and the number of spots left out."""
     threshold = _threshold(darkness, appearance)
@@ -336,7 +331,8 @@ class MarkerTracker:
             )
         darkness = _relative_darkness(image, self.appearance)
         threshold = _threshold(darkness, self.appearance)
-        spots = _locate_spots(darkness, self.appearance, threshold)
+        labels = _label_spots(np.asarray(darkness > threshold), self.appearance)
+        spots = _centroids(darkness, labels, threshold)
         gate = self.options.gate * self.spacing_px
         predicted = self._previous_px + self._flow(image)
         positions = self._reject_outliers(assign_spots(predicted, spots, gate))

@@ -85,9 +85,7 @@ class TouchOptions(Options):
         Raises:
             ConfigError: There are too few cells across the gel, or too many.
         """
-        return _gel_mesh(gel, self.gel_edge_mm, self.gel_layers)
+        return _gel_mesh(gel, self.gel_edge_mm, self.gel_layers, _CENTER)
 
 
-@lru_cache(maxsize=4)
-def _gel_mesh(gel: GelLayer, edge_mm: float, layers: int) -> GelMesh:
-    return GelMesh(gel, edge_mm, layers, _CENTER)
+_gel_mesh = lru_cache(maxsize=4)(GelMesh)
