@@ -27,7 +27,7 @@ from tactorch.inverse.fields.sites import samples_around
 from tactorch.inverse.fit import shapes as shape_fit
 from tactorch.inverse.fit.objective import Objective
 from tactorch.inverse.fit.settings import Settings
-from tactorch.inverse.fit.shapes import ShapesOnSites, fit_shapes
+from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites, fit_shapes
 from tactorch.inverse.forward.problem import InverseProblem
 from tactorch.inverse.result.build import of_inclusions
 from tactorch.inverse.result.shapes import ShapeReconstruction
@@ -265,7 +265,7 @@ def test_models_are_changed_without_a_change_of_what_remains():
     ):
         assert other.size > field.size
         np.testing.assert_allclose(other.log_youngs(same, sites), before, atol=1e-12)
-    model = Mock(spec=Model, fit=SimpleNamespace(field=field, z=z), errors={})
+    model = Mock(spec=Model, fit=Mock(spec=ShapeFit, field=field, z=z), errors={})
     start = less(model, [0])
     fewer, rest = start.field, start.z
     assert fewer.families == (BALL,)
@@ -283,7 +283,7 @@ def test_inclusions_are_tried_as_other_forms_and_as_one():
     values = [np.log(0.2), 3.0, 3.0, 5.0, *ball, 6.0, 3.0, 5.0, *ball, 0.2, 0.1, 0.0, 0.0, 0.0]
     values += [4.5, 4.0, 5.0, np.log(1.5), -1.0, 4.0, 9.0, 9.0, np.log(0.4), 1.0]
     model = Mock(spec=Model, errors={})
-    model.fit = SimpleNamespace(field=field, z=field.standard(np.array(values)))
+    model.fit = Mock(spec=ShapeFit, field=field, z=field.standard(np.array(values)))
     problem = Mock(spec=SearchProblem, forms=("ellipsoid", "ring", "irregular lump"))
     starts = {start.what: start for start in [*changed(problem, model), *joined(problem, model)]}
     assert set(starts) == {

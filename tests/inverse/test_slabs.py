@@ -1,7 +1,6 @@
 """Steps of the background and plates, from the residuals of a model without them."""
 
 from collections.abc import Sequence
-from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
@@ -10,6 +9,7 @@ import pytest
 from tactorch.inverse.fields import BALL, FAMILIES, ShapeField, ShapePrior, Sites
 from tactorch.inverse.fields.background import Background
 from tactorch.inverse.fit.settings import Settings
+from tactorch.inverse.fit.shapes import ShapeFit
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import Model, Start, with_step
 from tactorch.inverse.search.problem import ShapeProblem
@@ -75,7 +75,7 @@ def plates(*values: Sequence[float]) -> Mock:
         ratios = np.tensordot(cuboid.basis, np.diag(logs))
         log_radius = np.log(6.0 / np.pi * half.prod()) / 3.0
         parts.append(np.array([x, y, z, log_radius, contrast, *ratios, 0.0, 0.0, 0.0]))
-    fit = SimpleNamespace(field=field, z=field.standard(np.concatenate(parts)))
+    fit = Mock(spec=ShapeFit, field=field, z=field.standard(np.concatenate(parts)))
     return Mock(spec=Model, fit=fit, errors={})
 
 
@@ -124,7 +124,7 @@ def test_each_step_of_a_background_is_tried_without() -> None:
     z = field.standard(np.array([np.log(0.2), 0.1, -0.2, 0.3]))
     once = with_step(field, z, "z-", 3.0, 0.5)
     both = with_step(*once, "x+", 7.0, -0.3)
-    model = Mock(spec=Model, fit=SimpleNamespace(field=both[0], z=both[1]), errors={})
+    model = Mock(spec=Model, fit=Mock(spec=ShapeFit, field=both[0], z=both[1]), errors={})
     first, last = simpler_background(Mock(spec=SearchProblem), model)
     logs = last.field.log_youngs(last.z, POINTS)
     np.testing.assert_allclose(logs, once[0].log_youngs(once[1], POINTS))

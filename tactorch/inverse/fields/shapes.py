@@ -120,9 +120,8 @@ class ShapeField:
         """Return the parameters of an inclusion from all, in mm and logarithms."""
         return Parameters.of(values[..., self.parts[inclusion]])
 
-    def _inclusions(self, values: Vector) -> Iterator[tuple[Family, Parameters, slice]]:
-        for k, (family, part) in enumerate(zip(self.families, self.parts, strict=True)):
-            yield family, self.own(values, k), part
+    def _inclusions(self, values: Vector) -> list[tuple[Family, Parameters]]:
+        return [(family, self.own(values, k)) for k, family in enumerate(self.families)]
 
     def physical(self, z: Float[np.ndarray, "*k size"]) -> Float[np.ndarray, "*k size"]:
         """Return parameters in mm and logarithms from those in standard deviations."""
@@ -160,7 +159,7 @@ class ShapeField:
 
     def shapes(self, z: Vector) -> Iterator[InclusionShape]:
         """Yield the inclusions."""
-        for family, own, _ in self._inclusions(self.physical(z)):
+        for family, own in self._inclusions(self.physical(z)):
             yield family.shape(own)
 
     def excess(self, z: Vector) -> Float[np.ndarray, " sides"]:
@@ -235,7 +234,7 @@ class ShapeField:
         Where stiff ones overlap, that of the largest contrast counts, as one body is not stiffer
         for being described twice; a soft one in a stiff one counts with it.
         """
-        found = [(k, family, own) for k, (family, own, _) in enumerate(self._inclusions(values))]
+        found = [(k, *one) for k, one in enumerate(self._inclusions(values))]
         found.sort(key=lambda one: abs(one[2].log_contrast))
         yield [one for one in found if one[2].log_contrast > 0.0]
         yield [one for one in found if one[2].log_contrast <= 0.0]

@@ -222,20 +222,12 @@ def with_ball(fit: ShapeFit, candidate: Candidate) -> tuple[str, ShapeField, Vec
     family, inclusion = next((family, own) for family, own in births if own is not None)
     kind = "rod" if candidate.half_mm.any() else "ball"
     where = np.round(candidate.center_mm, 1).tolist()
-    return f"{kind} at {where} mm", *with_inclusion(fit, family, inclusion)
+    return f"{kind} at {where} mm", *replaced(fit, (), (family,), [inclusion])
 
 
 def start_contrast(contrast: float) -> float:
     """Return the log-contrast of a start, of that which a linear model has."""
     return float(np.copysign(np.clip(abs(contrast), *_START_CONTRAST), contrast))
-
-
-def with_inclusion(
-    fit: ShapeFit, family: Family, values: Float[np.ndarray, " parameters"]
-) -> tuple[ShapeField, np.ndarray]:
-    """Return the model with a further inclusion, whose parameters are in mm and logarithms."""
-    field = replace(fit.field, families=(*fit.field.families, family))
-    return field, field.standard(np.concatenate([fit.field.physical(fit.z), values]))
 
 
 def varied(field: ShapeField, z: Vector, **background: Any) -> tuple[ShapeField, np.ndarray]:
@@ -271,7 +263,7 @@ def is_negligible(fit: ShapeFit) -> bool:
 def less(model: Model, removed: Sequence[int]) -> Start:
     """Return a model without some of its inclusions."""
     what = f"inclusion {', '.join(map(str, removed))} removed"
-    return Start(what, *replaced(model, removed, (), []), model.errors)
+    return Start(what, *replaced(model.fit, removed, (), []), model.errors)
 
 
 def rivals(model: Model, removed: Sequence[int]) -> list[Start]:
@@ -287,17 +279,17 @@ def as_one(model: Model, inclusions: Sequence[int], family: Family) -> Start:
     shapes = list(model.fit.field.shapes(model.fit.z))
     values = family.like(Cloud.of([shapes[k] for k in inclusions]))
     what = f"inclusion {' and '.join(map(str, inclusions))} as {family.noun}"
-    return Start(what, *replaced(model, inclusions, (family,), [values]), model.errors)
+    return Start(what, *replaced(model.fit, inclusions, (family,), [values]), model.errors)
 
 
 def replaced(
-    model: Model,
+    fit: ShapeFit,
     removed: Sequence[int],
     families: tuple[Family, ...],
     values: list[Float[np.ndarray, " _"]],
 ) -> tuple[ShapeField, Vector]:
-    """Return the model with other inclusions in place of some."""
-    field, old = model.fit.field, model.fit.field.physical(model.fit.z)
+    """Return the model with other inclusions, by their values in mm and logarithms, for some."""
+    field, old = fit.field, fit.field.physical(fit.z)
     kept = [k for k in range(len(field.parts)) if k not in removed]
     other = replace(field, families=(*(field.families[k] for k in kept), *families))
     parts = [old[: field.n_background], *(old[field.parts[k]] for k in kept), *values]

@@ -279,7 +279,7 @@ def split(problem: SearchProblem, model: Model) -> Iterator[Start]:
     for k, shape in enumerate(fit.field.shapes(fit.z)):
         if fit.field.families[k] is not ball and not crosses(shape, fit.field.prior):
             halves = Cloud.of([shape]).halves()
-            added = replaced(model, [k], (ball, ball), [ball.like(half) for half in halves])
+            added = replaced(fit, [k], (ball, ball), [ball.like(half) for half in halves])
             yield Start(f"inclusion {k} as two balls", *added, model.errors)
 
 

@@ -30,7 +30,6 @@ from tactorch.inverse.search.model import (
     Start,
     replaced,
     start_contrast,
-    with_inclusion,
     with_step,
 )
 
@@ -135,7 +134,7 @@ def inclusions_as_steps(problem: SearchProblem, model: Model) -> Iterator[Start]
         if fit.field.families[k].name == "cuboid" and crosses(shape, fit.field.prior):
             slab = _slab_like(shape, fit.field.prior)
             if slab.side in problem.step_sides:
-                step = _with_step(*replaced(model, [k], (), []), slab)
+                step = _with_step(*replaced(fit, [k], (), []), slab)
                 yield Start(f"inclusion {k} as a step", *step, model.errors)
 
 
@@ -164,7 +163,7 @@ def _with_cuboid(model: Model, slab: _Slab) -> Start:
     log_radius = float(np.log(0.75 / np.pi * (high - low).prod()) / 3.0)
     cloud = Cloud(low + (high - low) * unit, log_radius, slab.log_contrast)
     cuboid = FAMILIES["cuboid"]
-    added = with_inclusion(model.fit, cuboid, cuboid.like(cloud))
+    added = replaced(model.fit, (), (cuboid,), [cuboid.like(cloud)])
     return Start(f"cuboid, {slab.what}", *added, model.errors)
 
 
