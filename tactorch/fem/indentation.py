@@ -40,6 +40,8 @@ from tactorch.linalg.parallel import worker_count
 from tactorch.mesh.closest import closest_points
 
 _FRACTIONS = (1.0, 0.72, 0.48)  # radii of the profiles, over that of the largest contact
+_FIRST, _SECOND = np.triu_indices(len(_FRACTIONS))  # pairs of profiles
+_PAIRS = len(_FIRST)
 _MAX_RATIO = 0.95  # of the largest radius of a profile to that of the ball
 _WIDE = 1.2  # radius of the wide profile, over that of the largest contact and the mean edge
 _ELEMENTS = 256  # whose derivatives are computed at once
@@ -351,9 +353,9 @@ class IndentedBody:
 
         There is a row for each pair of profiles and place; all places of a pair follow each other.
         """
-        rows = self._pairs * len(self._indentation.places)
+        rows = _PAIRS * len(self._indentation.places)
         check_work(f"the derivatives of {rows} forces", 4.0 * rows * self.youngs.size)
-        out = np.empty((self._pairs, rows // self._pairs, self.youngs.size), dtype=np.float32)
+        out = np.empty((_PAIRS, rows // _PAIRS, self.youngs.size), dtype=np.float32)
         for chunk, part in self._rates():
             out[:, chunk] = part
         return out.reshape(rows, -1)
@@ -374,7 +376,7 @@ class IndentedBody:
         )
         out = np.zeros((chain.shape[0], size), dtype=kind)
         for chunk, part in self._rates(logarithmic):
-            columns = chain[:, (np.arange(self._pairs)[:, None] * count + chunk).ravel()]
+            columns = chain[:, (np.arange(_PAIRS)[:, None] * count + chunk).ravel()]
             rows = np.flatnonzero(np.diff(columns.indptr))
             out[rows] += columns[rows].astype(kind) @ part.reshape(-1, size)
         return out
@@ -392,11 +394,10 @@ class IndentedBody:
         relative -= factors[:, None]
         relative[np.abs(relative) <= least[:, None]] = 0.0
         rest = relative * self.youngs.ravel()
-        rows, cols = np.triu_indices(len(_FRACTIONS))
-        moved = self.compliance[:, rows, cols].T[..., None] * factors
+        moved = self.compliance[:, _FIRST, _SECOND].T[..., None] * factors
         weights = self._point_weights * rest.reshape(len(rest), *self._point_weights.shape)
         softened = weights.sum(axis=2) / self._by_element**2
-        missed = self._indentation.missed[:, rows, cols].T
+        missed = self._indentation.missed[:, _FIRST, _SECOND].T
         moved += missed[..., None] * (self._indentation.shares.T @ softened.T)
         self._add_energies(moved, rest)
         return moved.reshape(-1, len(changes))
@@ -438,16 +439,15 @@ class IndentedBody:
     ) -> Iterator[tuple[np.ndarray, Float[np.ndarray, "pairs s moduli"]]]:
         """Yield places with minus the derivatives of their compliance by the moduli."""
         indentation = self._indentation
-        rows, cols = np.triu_indices(len(_FRACTIONS))
         everything = np.arange(len(self._by_element))
         # A change of a small part is solved without these displacements.
         for part in self._full_solution.parts(keep=self._local is None):
-            missed = indentation.missed[part.places][:, rows, cols].T[..., None].astype(np.float32)
+            missed = indentation.missed[part.places][:, _FIRST, _SECOND].T.astype(np.float32)
             softened = indentation.shares[:, part.places].T.toarray() / self._by_element
             if not logarithmic:
                 points = (softened / self._by_element)[..., None] * self._point_weights
                 softened = points.reshape(len(points), -1)
-            out = missed * softened.astype(np.float32)
+            out = missed[..., None] * softened.astype(np.float32)
             _each(partial(self._add_rates, part, logarithmic, out), everything)
             yield part.places, out
 
@@ -470,10 +470,6 @@ class IndentedBody:
         moduli = self.youngs.reshape(len(self.youngs), -1) if logarithmic else 1.0
         per_point = self.youngs.ndim == 2 and not logarithmic
         return self._indentation.energies(part, elements, per_point=per_point, moduli=moduli)
-
-    @property
-    def _pairs(self) -> int:
-        return len(_FRACTIONS) * (len(_FRACTIONS) + 1) // 2
 
     @property
     def _sites(self) -> int:
@@ -501,11 +497,10 @@ def _terms(
 ) -> Float[np.ndarray, "s pairs"]:
     """Return the derivatives of forces by minus the compliance of each pair of profiles."""
     k = c.shape[1]
-    rows, cols = np.triu_indices(k)
     products = ratios[:, None, None] * rates[:, :, None] * c[:, None, :]
     both = products + products.swapaxes(1, 2)
     both[:, np.arange(k), np.arange(k)] *= 0.5
-    return np.asarray(both[:, rows, cols])
+    return np.asarray(both[:, _FIRST, _SECOND])
 
 
 @dataclass(frozen=True, eq=False)
