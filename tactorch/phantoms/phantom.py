@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -219,18 +220,11 @@ class MeshSize(Options):
 
     def build(self, phantom: Phantom) -> tuple[TetMesh, TetMesh | None]:
         """Return the recording's mesh, and the mesh to solve on; None where it is the same."""
-        coarse = phantom.mesh(
-            self.edge_length_mm,
-            relative_edge_length=self.relative_edge_length,
-            generator=self.generator,
-        )
+        mesh = partial(phantom.mesh, generator=self.generator)
+        coarse = mesh(self.edge_length_mm, relative_edge_length=self.relative_edge_length)
         if self.fine_edge_length_mm is None and self.fine_relative is None:
             return coarse, None
-        fine = phantom.mesh(
-            self.fine_edge_length_mm,
-            relative_edge_length=self.fine_relative or 0.1,
-            generator=self.generator,
-        )
+        fine = mesh(self.fine_edge_length_mm, relative_edge_length=self.fine_relative or 0.1)
         shapes = [shape for shape, _ in phantom.inclusions] if self.fine_conforming else []
         return coarse, follow_inclusions(fine, shapes)
 

@@ -44,7 +44,7 @@ class _Part:
     elements: list[tuple[int, np.ndarray]] = field(default_factory=list)  # nodes of one; rows
     others: list[np.ndarray] = field(default_factory=list)  # numbers of those that are not solid
     sets: dict[str, list[_Member]] = field(default_factory=dict)
-    sections: dict[str, str] = field(default_factory=dict)  # sets, with the material
+    sections: set[str] = field(default_factory=set)  # sets that have a material
     places: list[list[str]] = field(default_factory=list)  # data of its instances
 
 
@@ -168,7 +168,7 @@ def _read(keyword: _Keyword, part: _Part) -> None:
             members.append(np.array([int(w) for w in words if w.isdigit()], dtype=np.int64))
             members.extend(_key(word) for word in words if not word.isdigit())
     elif keyword.name == "SOLID SECTION" and "ELSET" in given:
-        part.sections[_key(given["ELSET"])] = given.get("MATERIAL", "")
+        part.sections.add(_key(given["ELSET"]))
 
 
 def _words(line: str) -> list[str]:
