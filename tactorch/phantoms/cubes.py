@@ -121,7 +121,8 @@ class CubeCylinder(_CubeWithAxialInclusion):
     height: float = option(0.4, "Height of the cylinder, in sides", gt=0)
 
     def _shape(self) -> Shape:
-        return Cylinder(self._mm(*self.center), *self._mm(self.radius, self.height), self.axis)
+        radius, height = self._mm(self.radius, self.height)
+        return Cylinder(self._mm(*self.center), radius, height, self.axis)
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,8 @@ class CubeTwoTiers(_CubeWithAxialInclusion):
     height: float = option(0.4, "Height of both tiers together, in sides", gt=0)
 
     def _shape(self) -> Shape:
-        return two_tiers(self._mm(*self.center), *self._mm(self.radius, self.height), self.axis)
+        radius, height = self._mm(self.radius, self.height)
+        return two_tiers(self._mm(*self.center), radius, height, self.axis)
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,8 @@ class CubeTorus(_CubeWithAxialInclusion):
     tube: float = option(0.1, "Minor radius of the torus, in sides", gt=0)
 
     def _shape(self) -> Shape:
-        return Torus(self._mm(*self.center), *self._mm(self.radius, self.tube), self.axis)
+        radius, tube = self._mm(self.radius, self.tube)
+        return Torus(self._mm(*self.center), radius, tube, self.axis)
 
 
 @dataclass(frozen=True)
@@ -164,7 +167,8 @@ class CubeCone(_CubeWithAxialInclusion):
     height: float = option(0.5, "Height of the cone, in sides", gt=0)
 
     def _shape(self) -> Shape:
-        return Cone(self._mm(*self.center), *self._mm(self.radius, self.height), self.axis)
+        radius, height = self._mm(self.radius, self.height)
+        return Cone(self._mm(*self.center), radius, height, self.axis)
 
 
 @dataclass(frozen=True)
