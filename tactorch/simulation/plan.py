@@ -189,7 +189,7 @@ class PressPlan(Options):
                 f"press.patch_radius_mm={radius:g} away from edges and the side {self.base}; ask "
                 "for fewer points, or use a smaller radius or a finer mesh."
             )
-        heights = free @ (np.eye(3)["xyz".index(self.base[0])] * (-1 if self.base[1] == "+" else 1))
+        heights = free @ PressSite(self.base).direction
         return free[farthest_point_order(free, self.points or 0, int(heights.argmax()))]
 
     @property
