@@ -54,13 +54,12 @@ def describe(result: Reconstruction, presses: int = 0, total: int = 0) -> str:
 def _finding(result: Reconstruction) -> list[str]:
     if result.reasons:
         return [f"Do not trust this result: {reason}" for reason in result.reasons]
-    if not result.lumps:
-        modulus = f"Young's modulus is {result.background_mpa:.3g} MPa"
-        nothing = f"Nothing found: no lump stands out; {modulus}."
-        return [nothing, *describe_steps(result), *describe_alternatives(result)]
-    first = [] if result.shapes is not None else ["In the element map:"]
-    lumps = [*first, *map(describe_lump, result.lumps)]
-    return [*lumps, *describe_steps(result), *describe_alternatives(result)]
+    modulus = f"Young's modulus is {result.background_mpa:.3g} MPa"
+    found = [f"Nothing found: no lump stands out; {modulus}."]
+    if result.lumps:
+        first = [] if result.shapes is not None else ["In the element map:"]
+        found = [*first, *map(describe_lump, result.lumps)]
+    return [*found, *describe_steps(result), *describe_alternatives(result)]
 
 
 def describe_steps(result: Reconstruction) -> list[str]:

@@ -35,8 +35,8 @@ from tactorch.inverse.search.sizing import (
 from tactorch.linalg import SOLVERS, limit_workers, map_cases
 from tactorch.linalg.parallel import worker_count
 from tactorch.linalg.solver import AutoSolver
-from tactorch.mesh import Refinement, refine
-from tactorch.mesh.conform import ClosedSurface, Conforming, conform
+from tactorch.mesh import refine
+from tactorch.mesh.conform import ClosedSurface, conform
 from tactorch.mesh.refine import Sizing
 from tactorch.mesh.sharp_edges import distance_from_sharp_edges
 from tactorch.recording import Recording, prolong_recording
@@ -218,7 +218,9 @@ class Correction:
         refinement = refine(self.recording.mesh, finer.sizing)
         if not len(refinement.ends):
             return {}
-        conforming = model.conforming(refinement)
+        volumes = [4.0 / 3.0 * np.pi * shape.radius_mm**3 for shape in model.shapes]
+        pairs = zip(model.shapes, volumes, strict=True)
+        conforming = conform(refinement, [ClosedSurface(s.distance, v) for s, v in pairs])
         # Where rims have separate errors, these include that of the traction.
         fine = prolong_recording(
             self.recording, conforming.refinement, smooth_tractions=finer.has_rims
@@ -313,12 +315,6 @@ class _Model:
         """Return the logarithms of the moduli (MPa), see `ShapeField.log_youngs`."""
         return self.fit.field.log_youngs(self.fit.z, sites, fractions)
 
-    def conforming(self, refinement: Refinement) -> Conforming:
-        """Return a mesh whose faces follow the inclusions."""
-        volumes = [4.0 / 3.0 * np.pi * shape.radius_mm**3 for shape in self.shapes]
-        pairs = zip(self.shapes, volumes, strict=True)
-        return conform(refinement, [ClosedSurface(s.distance, volume) for s, volume in pairs])
-
     def youngs(self, sites: Sites) -> Moduli:
         """Return the moduli (MPa) at quadrature points of elements that boundaries may cross."""
         return np.exp(self.log_youngs(sites)).reshape(sites.shape)
@@ -326,7 +322,7 @@ class _Model:
     def youngs_beside(self, sides: Int[np.ndarray, "shapes m"], sites: Sites) -> Moduli:
         """Return the moduli (MPa) at quadrature points of elements on these sides of inclusions.
 
-        See `Conforming` for the sides.
+        See `tactorch.mesh.conform.Conforming` for the sides.
         """
         fractions = []
         for shape, side in zip(self.shapes, sides, strict=True):
