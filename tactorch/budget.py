@@ -154,9 +154,7 @@ def check_stored(source: Path, claim: str, needed: float) -> None:
 def read_content(path: Path, expansion: float = 1.0) -> bytes:
     """Return the content of a file, if the memory for it suffices.
 
-    Args:
-        path: The file.
-        expansion: Bytes of memory for each byte, such as `TEXT`.
+    `expansion` is the bytes of memory for each byte, such as `TEXT`.
 
     Raises:
         FileError: The file is too large.
@@ -171,9 +169,7 @@ def read_content(path: Path, expansion: float = 1.0) -> bytes:
 def gunzip(path: Path, rest: float = 0.0) -> io.BytesIO:
     """Return the content of a file that is compressed by gzip, as far as it may be in memory.
 
-    Args:
-        path: The file.
-        rest: Bytes of memory that the values of the content take besides it.
+    `rest` is the bytes of memory that the values of the content take besides it.
 
     Raises:
         FileError: The content is too large.
@@ -192,20 +188,14 @@ def gunzip(path: Path, rest: float = 0.0) -> io.BytesIO:
 class Unpacking:
     """Unpacking of the compressed parts of a file, as far as all may be in memory.
 
-    Args:
-        path: The file.
-        copies: Copies of the content that exist at the same time.
+    `copies` of the content exist at the same time.
     """
 
     def __init__(self, path: Path, copies: float) -> None:
         self._path, self._copies, self._size = path, copies, 0
 
     def part(self, make: Callable[[], Any], data: bytes | memoryview) -> bytearray:
-        """Return what a part contains.
-
-        Args:
-            make: Function that returns a decompressor, such as `zlib.decompressobj`.
-            data: The part.
+        """Return what a part contains; `make` returns a decompressor.
 
         Raises:
             FileError: The parts so far are too large.

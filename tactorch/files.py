@@ -213,13 +213,11 @@ def parse_json(text: str | bytes, source: str, error: type[TactorchError] = File
 def read_yaml(path: Path, what: str, error: type[TactorchError] = FileError) -> Any:
     """Read a small YAML file without aliases or deep nesting, which parsers cannot follow.
 
-    Args:
-        path: The file.
-        what: Name of the file in messages.
-        error: Class of errors.
+    `what` is its name in messages.
 
     Raises:
-        TactorchError: The file is too large, has an alias, is nested too deep, or is not YAML.
+        TactorchError: It is too large, has an alias, is nested too deep, or is not YAML; of class
+            `error`.
         OSError: It cannot be read.
     """
     import yaml

@@ -65,11 +65,8 @@ def pool_offsets(
     Controlled Clinical Trials 7, 1986, p. 177). Those of probes without enough clear samples are
     on it, with the deviation of the others.
 
-    Args:
-        samples: Samples with offset.
-        clear: Which of them are clear of the surface.
-        noise_n: Standard deviation of the noise of a sample, N.
-        source: Name of the file, for messages.
+    `clear` tells which samples are clear of the surface, `noise_n` is the standard deviation of the
+    noise of each, and `source` the name of the file in messages.
     """
     count = np.bincount(samples.probe, clear)
     known = count >= MIN_CLEAR

@@ -58,11 +58,8 @@ def assign(
 ) -> dict[str, tuple[str, float]]:
     """Return the column and the factor of each quantity that a table has.
 
-    Args:
-        names: Names of the columns.
-        columns: Column of a quantity, where its name is another.
-        units: Unit of a quantity, where its name does not state it.
-        known: Units of each quantity that a table may have.
+    `columns` has the column of a quantity, where its name is another, `units` its unit, where the
+    name does not state it; `known` are the units of each quantity that a table may have.
 
     Raises:
         ConfigError: A quantity or unit is unknown, a column is missing, or two columns have the

@@ -108,9 +108,8 @@ class Samples:
 
         The advance of a mean is that at which a ball on a half-space has the mean force.
 
-        Args:
-            depths: Steps; None for the samples themselves.
-            begin_mm: Advance at which the contact of each probe begins.
+        `depths` is their number, None for the samples themselves, and `begin_mm` the advance at
+        which the contact of each probe begins.
         """
         samples = self.keep(self.advance_mm > begin_mm[self.probe], "in air")
         if depths is None:
@@ -200,10 +199,8 @@ def _time(sheet: Sheet) -> Float[np.ndarray, " s"] | None:
 def make_samples(path: Path, rows: Rows, radius_mm: float | None) -> Samples:
     """Return the samples of rows; rows and probes that cannot be used are left out, and named.
 
-    Args:
-        path: Name of their file in messages.
-        rows: Rows in axes whose z points out of the object.
-        radius_mm: Radius of the ball; None for the distance of its centre from the contacts.
+    The rows are in axes whose z points out of the object. A radius of None is the distance of the
+    ball's centre from the contacts.
     """
     radius = radius_mm or _radius(path, rows)
     names, probe = _probes(path, rows, _APART * radius)

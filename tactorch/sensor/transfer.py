@@ -35,13 +35,8 @@ def transfer_forces(
     that act at points are divided among the corners of the closest triangle. The moment lost where
     points are off the surface is restored by a couple over the loaded nodes.
 
-    Args:
-        points: Points at which the forces act, mm.
-        forces: The forces, or several sets of them, N.
-        nodes: Nodes of the object, mm.
-        triangles: Triangles of its surface.
-        sources: Triangles of the mesh of the points on which the traction acts; the forces on other
-            points act at these.
+    Lengths are in mm, forces in N; there may be several sets of these. `sources` are the triangles
+    of the mesh of the points on which the traction acts; the forces on other points act at these.
 
     Raises:
         ConfigError: The surface has no triangle.

@@ -28,11 +28,8 @@ def smooth_surface(
     deviation, or of 0.7 cells where these are larger, and triangulated by marching cubes at the
     level that encloses the volume of the voxels. Beyond the array is outside.
 
-    Args:
-        mask: Voxels of the body.
-        affine: Matrix from voxel indices to positions, mm.
-        detail_mm: Size of details that are smoothed, mm; 0 for those of voxels.
-        keep_largest: Whether parts that the smoothing detaches are left out.
+    The matrix is that from voxel indices to positions, mm; details of 0 are those of voxels.
+    `keep_largest` leaves out parts that the smoothing detaches, which are refused otherwise.
     """
     sizes = np.linalg.norm(affine[:3, :3], axis=0)
     factors = np.maximum(detail_mm // sizes, 1.0).astype(int)

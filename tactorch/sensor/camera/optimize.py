@@ -18,14 +18,9 @@ def fit_parameters(
 ) -> None:
     """Set the parameters of a module that have a scale to where a loss is smallest.
 
-    Where the loss is not finite, the line search steps back.
-
-    Args:
-        module: The module, whose present parameters are the start.
-        loss: Loss with the parameters of the module.
-        scales: Typical size of the change of each parameter that is fitted.
-        iterations: Largest number of iterations.
-        ridge: Weight of the squared changes over their scales.
+    The start is the present parameters. Where the loss is not finite, the line search steps back.
+    `scales` are typical sizes of the changes of the parameters that are fitted, and `ridge` is the
+    weight of the squared changes over their scales.
     """
     parameters = [module.get_parameter(name) for name in scales]
     start = [parameter.detach().clone() for parameter in parameters]
