@@ -63,7 +63,8 @@ def find_contacts(samples: Samples, noise_n: float | None, source: str) -> tuple
     samples = _rising(samples, rises, source)
     depths, plane = depths[rises], mixed[rises] / squares[rises]
     contacts = samples.origins_mm - (samples.radius_mm - depths)[:, None] * samples.normals
-    return samples, Contacts(contacts, depths, plane, noise, offsets.of(rises))
+    offsets = Offsets(offsets.force_n[rises], offsets.deviation_n[rises], offsets.clear)
+    return samples, Contacts(contacts, depths, plane, noise, offsets)
 
 
 def hysteresis(samples: Samples) -> float | None:

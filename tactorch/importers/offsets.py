@@ -24,10 +24,6 @@ class Offsets(NamedTuple):
     deviation_n: Float[np.ndarray, " probes"]  # their standard deviation
     clear: int  # number of samples that are clear of the surface
 
-    def of(self, probes: Bool[np.ndarray, " probes"]) -> "Offsets":
-        """Return those of some probes."""
-        return Offsets(self.force_n[probes], self.deviation_n[probes], self.clear)
-
 
 def without_drift(
     samples: Samples, clear: Bool[np.ndarray, " s"], noise_n: float, source: str

@@ -4,7 +4,7 @@ import numpy as np
 
 from tactorch.sensor.description import GelLayer, MarkerGrid, SensorDescription
 from tactorch.sensor.render import RenderOptions
-from tactorch.touch.picture import draw_gel
+from tactorch.touch.simulate import draw_gel
 
 
 def test_markers_beyond_the_nodes_move_with_the_nearest() -> None:
