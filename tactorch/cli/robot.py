@@ -14,7 +14,7 @@ from tactorch.inverse.search.draft_errors import DraftOptions
 from tactorch.mesh import TetMesh, face_nodes, read_mesh
 from tactorch.phantoms import Phantom
 from tactorch.robot import RobotPresser, RobotSession, SimulatedRobot, StopRule, pressable_patches
-from tactorch.robot.custom import CustomRobot
+from tactorch.robot.driver import CustomRobot
 from tactorch.sampling import Observer, Patch, candidate_patches
 from tactorch.sampling.candidates import MIN_FACING
 

@@ -4,13 +4,17 @@ All values are in mm and N, in the frame of the object's mesh. The driver conver
 frames and units of its robot.
 """
 
+import os
+import sys
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from pkgutil import resolve_name
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.errors import RobotError
+from tactorch.config import Options, option
+from tactorch.errors import ConfigError, RobotError
 
 _UNIT_TOLERANCE = 1e-3  # of the length of a direction
 
@@ -106,3 +110,38 @@ class Robot(Protocol):
             RobotError: any other failure that another press may not have. Other exceptions, too,
                 mark the candidate as failed.
         """
+
+
+@dataclass(frozen=True)
+class CustomRobot(Options):
+    """Driver of a user's robot, see the documentation; presser=MODULE:CLASS is short for it."""
+
+    section: ClassVar[str] = "presser"
+
+    path: str = option(help="Import path of the driver's class, MODULE:CLASS")
+    settings: dict[str, Any] = option(factory=dict, help="Keyword arguments of the class, by name")
+
+    def build(self) -> Robot:
+        """Import the class and make the driver; the working directory is searched too.
+
+        Raises:
+            ConfigError: the class cannot be imported or made, or has no `press`.
+        """
+        if not all(self.path.partition(":")):
+            raise ConfigError(
+                f"presser.path={self.path}: give MODULE:CLASS, as mylab.robot:MyRobot."
+            )
+        if os.getcwd() not in sys.path:
+            sys.path.append(os.getcwd())
+        try:
+            robot = resolve_name(self.path)(**self.settings)
+        except Exception as error:  # whatever code of another package raises
+            raise ConfigError(
+                f"presser={self.path} cannot be made ({type(error).__name__}: {error}); check the "
+                "import path and presser.settings."
+            ) from error
+        if not isinstance(robot, Robot):
+            raise ConfigError(
+                f"presser={self.path} has no method press(command); see the documentation."
+            )
+        return robot

@@ -28,7 +28,7 @@ PRESSERS = Registry(
     {
         "none": "tactorch.robot.simulated:NoRobot",
         "simulated": "tactorch.robot.simulated:SimulatedRobot",
-        "driver": "tactorch.robot.custom:CustomRobot",
+        "driver": "tactorch.robot.driver:CustomRobot",
     },
 )
 _SAMPLES = 4  # along the edge of an element that an inclusion cuts

@@ -9,7 +9,7 @@ from robot_fakes import DOWN
 from tactorch.errors import ConfigError, ForceLimitError, PoseRefusedError
 from tactorch.phantoms.cubes import UniformCube
 from tactorch.robot import PRESSERS, PressCommand, SimulatedRobot
-from tactorch.robot.custom import CustomRobot
+from tactorch.robot.driver import CustomRobot
 
 PLACES = [(x, y) for x in np.linspace(3.0, 7.0, 12) for y in np.linspace(3.0, 7.0, 12)]
 
