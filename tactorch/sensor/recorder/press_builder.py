@@ -31,10 +31,10 @@ _MIN_ALIGNMENT = np.sqrt(0.5)  # cosine between a side's normal and the press di
 _FLATNESS = 2e-3  # of a side, over the object's diagonal
 _BISECTIONS = 30
 _POINT_SPACING_MM = 0.5  # on the object's face
+_LAW = "neo_hookean"  # of gels that are solved together with the object
 # Error of the displacement of a marker in contact over itself: of the scale, of the centre of a
 # marker that is distorted, and of the finite elements of gel and object. Simulated, they are 0.6 %;
 # those of neighbours are not independent.
-_LAW = "neo_hookean"  # of gels that are solved together with the object
 _MARKER_ERROR, _MIN_MARKER_NOISE_MM = 0.01, 3e-4
 _MAX_GAP_MM = 0.5  # at the first frame with contact, without a warning
 
