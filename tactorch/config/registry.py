@@ -157,7 +157,7 @@ class Registry:
 
 
 @cache
-def entry_points() -> tuple[metadata.EntryPoint, ...]:
+def entry_points() -> tuple[Any, ...]:
     """Return those for tactorch, by group, as the process finds them first; none is imported."""
     found = metadata.entry_points()
     groups = sorted(group for group in found.groups if group.startswith(GROUPS))
