@@ -170,7 +170,6 @@ def progress(label: str, items: str) -> Iterator[ProgressCallback]:
 
 @contextmanager
 def _bar(label: str, items: str) -> Iterator[ProgressCallback]:
-    """Show a bar at a terminal."""
     from rich import progress as rich
     from rich.console import Console
 

@@ -88,7 +88,6 @@ def _load_split(
 
 
 def _save(figures: Mapping[str, Figure], out: Path) -> None:
-    """Write figures by name, and say where."""
     for name, figure in sorted(figures.items()):
         log.info("picture: %s", save_figure(figure, out / f"{name}.png"))
 

@@ -156,7 +156,6 @@ class Setting:
         raise ConfigError(f"{name}={text}: give {self.expectation}.{hint}")
 
     def _in_range(self, value: Any) -> bool:
-        """Return whether all numbers in a value are within the range."""
         return all(
             (self.gt is None or number > self.gt)
             and (self.ge is None or number >= self.ge)

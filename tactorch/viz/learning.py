@@ -23,8 +23,6 @@ _CONTRAST = 2.0  # of the difference to the image without contact
 
 def samples_figure(samples: Sequence[Sample]) -> Figure:
     """Return a figure of middle slices of some samples, and histograms of all."""
-    if not samples:
-        raise ConfigError("there is no sample to draw; generate some first.")
     shown = _some(samples)
     reconstructed = any(sample.reconstruction is not None for sample in shown)
     names = ("truth", "reconstruction") if reconstructed else ("truth",)

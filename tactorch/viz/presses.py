@@ -121,7 +121,6 @@ def palpation_figure(recording: Recording) -> Figure:
 
 
 def _deepest(presses: list[Press], across: Float[np.ndarray, "2 3"]) -> list[Press]:
-    """Return the deepest press of each place."""
     by_depth = sorted(presses, key=lambda press: float(push_direction(press) @ _tip(press)))
     places = [np.round(across @ _tip(press) / _ROUNDING_MM).astype(int) for press in by_depth]
     return list({tuple(p): press for p, press in zip(places, by_depth, strict=True)}.values())

@@ -116,7 +116,6 @@ def run(cfg: CalibrateSettings) -> Path:
 def _fit_light(
     presses: Sequence[BallPress], slope_map: SlopeMap, ball: Ball, options: FitOptions
 ) -> "LightFit":
-    """Fit the light of the differentiable camera."""
     from tactorch.sensor.calibration.camera import CameraLight, CameraMap
 
     fitted = fit_to_contacts(CameraLight(), presses, slope_map, ball, options.seed)
