@@ -78,6 +78,16 @@ def test_derivatives_are_those_of_the_modulus(problem, name):
 
 
 @pytest.mark.parametrize("name", [*FAMILIES])
+def test_a_shape_beside_the_body_changes_nothing(problem, name):
+    field, values = parameters(name)
+    values[1:4] += 30.0
+    sites, z = Sites.of(problem.body.assembly), field.standard(values)
+    jacobian = field.jacobian(z, sites)
+    assert jacobian.shape == (np.prod(sites.shape), field.size)
+    assert not jacobian[:, 1:].any()
+
+
+@pytest.mark.parametrize("name", [*FAMILIES])
 def test_the_body_is_where_the_modulus_differs(name):
     field, z = parameters(name)
     (shape,) = field.shapes(z)

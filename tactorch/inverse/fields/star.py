@@ -255,7 +255,7 @@ class StarFamily(Family):
         turn = radii / apart * _SUMS.gradient(directions, own.distortions)
         slopes = np.vstack([turn - directions.T, -radii, -radii * (values - mean[:, None])])
         shape = points.shape[:-1]
-        return (apart - radii).reshape(shape), slopes.reshape(-1, *shape)
+        return (apart - radii).reshape(shape), slopes.reshape(len(slopes), *shape)
 
     def least_distance(
         self, own: Parameters, points: Float[np.ndarray, "n 3"]

@@ -244,7 +244,8 @@ class TubeFamily(Family):
         sizes = np.full((1, len(offsets)), -by_size)
         slopes = [-offsets.T / distances, sizes, vectors - by_vectors[:, None]]
         shape = points.shape[:-1]
-        return distances.reshape(shape) - radius, np.concatenate(slopes).reshape(-1, *shape)
+        stacked = np.concatenate(slopes)
+        return distances.reshape(shape) - radius, stacked.reshape(len(stacked), *shape)
 
     def _shift(self, own: Parameters, width: Widths) -> Widths:
         return 0.5 * VARIANCE * width * width / self._radius(own)[0]
@@ -379,7 +380,7 @@ class TaperedRodFamily(RodFamily):
         slopes[4:7] -= away * t
         shape = points.shape[:-1]
         values = distances - radius - slope * size * t
-        return values.reshape(shape), slopes.reshape(-1, *shape)
+        return values.reshape(shape), slopes.reshape(len(slopes), *shape)
 
     def _radius(self, own: Parameters) -> tuple[float, float, Float[np.ndarray, " k"]]:
         """Return the radius at the centre, and its derivatives by log-radius, vector and taper."""
