@@ -257,8 +257,10 @@ def _rectification(sensor: SensorDescription) -> Callable[[Image], Image] | None
         with torch.no_grad():
             maps = Lens(sensor).maps().numpy()
         x, y = maps.astype(np.float32).transpose(2, 0, 1)
-        # OpenCV samples single images of 8 bits on the CPU faster than torch.
-        return lambda image: cv2.remap(image, x, y, cv2.INTER_LINEAR)
+        # OpenCV samples single images of 8 bits on the CPU faster than torch. Cubic, as the blur of
+        # linear interpolation depends on the position within a pixel: errors of markers of 0.012 px
+        # fall to 0.008 px.
+        return lambda image: cv2.remap(image, x, y, cv2.INTER_CUBIC)
     if sensor.crop_px is not None:
         left, top, width, height = sensor.crop_px
         region = np.s_[top : top + height, left : left + width]

@@ -1,5 +1,7 @@
 """The lens: rectified images are those of OpenCV, gradients are right, and the grid shows it."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 import pytest
@@ -38,8 +40,15 @@ def batch(*images: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.stack(images)).double().movedim(-1, 1)
 
 
+def undistort(image: np.ndarray, matrix: np.ndarray, coefficients: Sequence[float]) -> np.ndarray:
+    """As `cv2.undistort`, but by cubic interpolation."""
+    size, lens = image.shape[1::-1], np.array(coefficients)
+    maps = cv2.initUndistortRectifyMap(matrix, lens, np.eye(3), matrix, size, cv2.CV_32FC1)
+    return cv2.remap(image, *maps, cv2.INTER_CUBIC)
+
+
 def test_undistorted_images_are_those_of_opencv(rng: np.random.Generator) -> None:
-    """Within one gray value: OpenCV rounds positions to a 32nd of a pixel, and the result."""
+    """OpenCV rounds positions to a 32nd of a pixel, and the result, which is 0.25 on average."""
     images, matrix = [photo(rng), photo(rng)], np.eye(3)
     matrix[[0, 1, 0, 1], [0, 1, 2, 2]] = INTRINSICS
     for coefficients in COEFFICIENTS.values():
@@ -47,9 +56,10 @@ def test_undistorted_images_are_those_of_opencv(rng: np.random.Generator) -> Non
             "round", (160, 120), (0.1, 0.1), GEL, intrinsics_px=INTRINSICS, distortion=coefficients
         )
         rectified = Lens(sensor)(batch(*images)).detach().movedim(1, -1).numpy()
-        expected = [cv2.undistort(image, matrix, np.array(coefficients)) for image in images]
+        expected = [undistort(image, matrix, coefficients) for image in images]
         inner = np.s_[:, 2:-2, 2:-2]  # OpenCV mixes the border with black otherwise
-        assert np.abs(rectified - expected)[inner].max() < 1.0
+        assert np.abs(rectified - expected)[inner].max() < 1.5
+        assert np.abs(rectified - expected)[inner].mean() < 0.28
 
 
 def test_warped_images_are_those_of_opencv_interpolated_once(rng: np.random.Generator) -> None:
@@ -58,8 +68,9 @@ def test_warped_images_are_those_of_opencv_interpolated_once(rng: np.random.Gene
     matrix[[0, 1, 0, 1], [0, 1, 2, 2]] = INTRINSICS
     ends = np.array([(0, 0), (109, 0), (109, 89), (0, 89)], np.float32)
     warp = cv2.getPerspectiveTransform(np.array(CORNERS, np.float32), ends)
-    undistorted = cv2.undistort(image, matrix, np.array(COEFFICIENTS[5]))
-    expected = cv2.warpPerspective(undistorted, warp, (110, 90))[4:84, 5:105].astype(float)
+    undistorted = undistort(image, matrix, COEFFICIENTS[5])
+    whole = cv2.warpPerspective(undistorted, warp, (110, 90), flags=cv2.INTER_CUBIC)
+    expected = whole[4:84, 5:105].astype(float)
     (rectified,) = Lens(WARPED)(batch(image)).detach().movedim(1, -1).numpy()
     assert np.abs(rectified - expected).max() < 3.0
     assert np.abs(rectified - expected).mean() < 0.5

@@ -164,15 +164,35 @@ def test_markers_are_recorded_where_the_gel_sticks_to_a_known_object(
     assert press.gel is not None
     np.testing.assert_allclose(press.gel.markers_mm, chain.sensor.to_mm(np.array([(1.0, 1.0)])))
     np.testing.assert_allclose(press.gel.displacement_mm, [(0.5, 0.0)], atol=1e-12)
-    # Noise, which no frame without contact shows here, and 1 % of the displacement.
+    # Noise, which no frame without contact shows here, and 0.5 % of the displacement.
     noise = chain.options.marker_noise_mm
-    assert press.gel.deviations_mm == pytest.approx(np.hypot(noise, 0.005))
+    assert press.gel.deviations_mm == pytest.approx(np.hypot(noise, 0.0025))
     assert press.gel.uncertain == pytest.approx([0.1, 0.2, np.deg2rad(0.5)])
     assert GelLayer.of_numbers(press.gel.layer, GEL.material) == GEL
     for target, changes in ((cube, {"friction": 0.5}), (VirtualCube(8.0, 4.0, 1.0), {})):
         other = replace(options, **changes)
         press, *_ = record(frames(), chain, poses, target, SPEC, other)[0].presses
         assert press.gel is None
+
+
+def test_markers_move_from_where_they_are_in_frames_without_contact(
+    pairs: dict[float, Pair], poses: Poses
+) -> None:
+    """The median of these frames leaves out one in which the contact has begun already."""
+    chain, shifts = Chain(pairs), {0: 0.1, 1: 0.12, 2: 0.9, 6: 0.14, 7: 0.14}
+    measure = chain.measure_deformation
+
+    def moved(frame: Frame) -> Measurement:
+        shown = np.add(chain.tracker.reference_px, [(shifts.get(frame.index, 0.5), 0), (0, np.nan)])
+        return replace(measure(frame), markers_px=shown)
+
+    chain.measure_deformation = moved  # type: ignore[method-assign]
+    first, second = ContactDetector(chain).detect(frames())
+    np.testing.assert_allclose(first.rest_mm, [(0.12, 0.0), (0.0, 0.0)])
+    np.testing.assert_allclose(second.rest_mm, [(0.14, 0.0), (0.0, 0.0)])
+    presses = record(frames(), chain, poses, pairs[0.2].cube, SPEC, RecordOptions(steps=1))[0]
+    shown = [press.gel.displacement_mm for press in presses.presses]
+    np.testing.assert_allclose(shown, [[(0.38, 0.0)], [(0.36, 0.0)]], atol=1e-12)
 
 
 def test_contacts_come_as_they_end_and_are_those_of_the_whole_session(

@@ -60,7 +60,7 @@ class Lens(nn.Module):
         self.register_buffer("_left_top", torch.tensor(left_top, dtype=dtype))
 
     def forward(self, images: Float[Tensor, "b c rows columns"]) -> Float[Tensor, "b c h w"]:
-        """Return rectified images of raw ones, by bilinear interpolation; 0 outside of these.
+        """Return rectified images of raw ones, by bicubic interpolation; 0 outside of these.
 
         Raises:
             ConfigError: The images have another size than the sensor's raw images.
@@ -117,4 +117,4 @@ class Lens(nn.Module):
 
     def _sample(self, images: Tensor, positions: Float[Tensor, "h w 2"]) -> Tensor:
         x, y = (p.to(images.dtype).expand(len(images), -1, -1) for p in positions.unbind(-1))
-        return remap(images, x, y, align_corners=True)
+        return remap(images, x, y, mode="bicubic", align_corners=True)

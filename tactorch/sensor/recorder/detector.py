@@ -3,7 +3,9 @@
 Memory is bounded: of frames that cannot become presses only the time, the depth and the fault stay.
 """
 
+import warnings
 from bisect import insort
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
@@ -16,6 +18,7 @@ from tactorch.sensor.frames import Frame
 from tactorch.sensor.markers import marker_displacements
 
 _MAX_CANDIDATES = 256  # frames of a contact that are stored with displacements
+_REST_FRAMES = 25  # without contact, from which the markers at rest are known
 
 
 @dataclass(eq=False)
@@ -29,12 +32,15 @@ class ContactInterval:
     Attributes:
         free_s: Time of the last frame without contact before; None if there is none.
         max_candidates: Largest number of frames with displacements, at least 6.
+        rest_mm: Displacements of the markers from the reference image in the frames without
+            contact before, (n, 2), mm; None without such frames or markers.
         measurements: Measurement of each frame, without images and height maps; that of a frame
             that is no candidate has no displacement and no markers.
     """
 
     free_s: float | None
     max_candidates: int = _MAX_CANDIDATES
+    rest_mm: Float[np.ndarray, "n 2"] | None = None
     measurements: list[Measurement] = field(default_factory=list)
     _loading: list[tuple[float, int]] = field(default_factory=list)  # up to the deepest; sorted
     _later: list[tuple[float, int]] = field(default_factory=list)
@@ -110,6 +116,7 @@ class ContactDetector:
     ) -> None:
         self.chain, self.min_frames, self.report = chain, min_frames, report
         self._squared_sum, self._count = 0.0, 0  # of marker displacements without contact, mm^2
+        self._free: deque[Float[np.ndarray, "n 2"]] = deque(maxlen=_REST_FRAMES)
 
     def detect(self, frames: Iterable[Frame]) -> Iterator[ContactInterval]:
         """Yield each contact when it ends."""
@@ -127,6 +134,8 @@ class ContactDetector:
             measurement = replace(measurement, frame=stored, height=None)
             self.report(reduced(measurement))
             if measurement.displacement is not None:
+                if not contact.measurements:
+                    contact.rest_mm = self._rest()
                 contact.append(measurement)
             elif usable:
                 self._add_noise(measurement)
@@ -146,6 +155,19 @@ class ContactDetector:
             return
         sensor, reference_px = self.chain.sensor, self.chain.tracker.reference_px
         _, displacement = marker_displacements(sensor, reference_px, measurement.markers_px)
+        self._free.append(displacement[:, :2])
         squares = displacement[:, :2] ** 2
         self._squared_sum += float(np.nansum(squares))
         self._count += int(np.isfinite(squares).sum())
+
+    def _rest(self) -> Float[np.ndarray, "n 2"] | None:
+        """Return the displacements of the markers in the last frames without contact, mm.
+
+        They are those of a gel that drifts, and the errors of the markers in the reference image.
+        The median leaves out frames shortly before a contact is detected. Markers that were not
+        seen have zero.
+        """
+        if not self._free:
+            return None
+        with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # of unseen markers
+            return np.nan_to_num(np.nanmedian(np.stack(self._free), axis=0))

@@ -32,10 +32,9 @@ _FLATNESS = 2e-3  # of a side, over the object's diagonal
 _BISECTIONS = 30
 _POINT_SPACING_MM = 0.5  # on the object's face
 _LAW = "neo_hookean"  # of gels that are solved together with the object
-# Error of the displacement of a marker in contact over itself: of the scale, of the centre of a
-# marker that is distorted, and of the finite elements of gel and object. Simulated, they are 0.6 %;
-# those of neighbours are not independent.
-_MARKER_ERROR, _MIN_MARKER_NOISE_MM = 0.01, 3e-4
+# Error of the displacement of a marker in contact over itself: of the finite elements of gel and
+# object, simulated, and of the scale. That of the marker in the image, simulated, does not grow.
+_MARKER_ERROR, _MIN_MARKER_NOISE_MM = 0.005, 3e-4
 _MAX_GAP_MM = 0.5  # at the first frame with contact, without a warning
 
 
@@ -152,7 +151,9 @@ class PressBuilder:
                         forces, measured_noise_mm, measurement.light_error_mm
                     ),
                     name=f"contact {number}, {name}",
-                    gel=self._gel(measurement, pose, first_pose, measured_noise_mm),
+                    gel=self._gel(
+                        measurement, contact.rest_mm, pose, first_pose, measured_noise_mm
+                    ),
                     **self.options.supports(self.mesh, pose[:3, 2]),
                 )  # fmt: skip
             except (ConfigError, ConvergenceError) as error:
@@ -174,9 +175,17 @@ class PressBuilder:
         return float(np.hypot(noise_mm, light_error_mm))
 
     def _gel(
-        self, measurement: Measurement, pose: Pose, first_pose: Pose, noise_mm: float | None
+        self,
+        measurement: Measurement,
+        rest_mm: Float[np.ndarray, "n 2"] | None,
+        pose: Pose,
+        first_pose: Pose,
+        noise_mm: float | None,
     ) -> GelReading | None:
         """Return the gel and its markers; None where it is not known where it touches the object.
+
+        Displacements of the markers are those from frames without contact, `rest_mm`, which are
+        more, and closer in time, than the reference image.
 
         That is without markers, on an object of unknown shape, with a limit of friction, and for
         gels of a law for which objects are not solved together with them.
@@ -188,6 +197,8 @@ class PressBuilder:
         at, moved = marker_displacements(
             self.chain.sensor, tracker.reference_px, measurement.markers_px
         )
+        if rest_mm is not None:
+            moved[:, :2] -= rest_mm
         seen = np.isfinite(moved).all(axis=1) & self.chain.sensor.gel.covers(at[:, :2])
         if not seen.any():
             return None
