@@ -41,10 +41,15 @@ class Discrepancy(ContactMotion):
         self, points: Float[np.ndarray, "data 3"], axes: Float[np.ndarray, "data 3"]
     ) -> Float[np.ndarray, "data k"]:
         """Return the principal patterns of a Gaussian process of each displacement."""
-        places, number = np.unique(points, axis=0, return_inverse=True)
-        length = _LENGTH * np.sqrt(places.var(axis=0).sum())
-        kernel = np.exp(-0.5 * (cdist(places, places) / max(length, 1e-12)) ** 2)
-        variances, modes = np.linalg.eigh(kernel)
-        kept = variances > _LEAST_SHARE * variances[-1]
-        roots = modes[:, kept] * np.sqrt(variances[kept])
-        return np.hstack([axes[:, k, None] * roots[number.ravel()] for k in range(3)])
+        patterns = smooth_patterns(points)
+        return np.hstack([axes[:, k, None] * patterns for k in range(3)])
+
+
+def smooth_patterns(points: Float[np.ndarray, "data d"]) -> Float[np.ndarray, "data k"]:
+    """Return the principal patterns of a Gaussian process of unit deviation at points."""
+    places, number = np.unique(points, axis=0, return_inverse=True)
+    length = _LENGTH * np.sqrt(places.var(axis=0).sum())
+    kernel = np.exp(-0.5 * (cdist(places, places) / max(length, 1e-12)) ** 2)
+    variances, modes = np.linalg.eigh(kernel)
+    kept = variances > _LEAST_SHARE * variances[-1]
+    return np.asarray((modes[:, kept] * np.sqrt(variances[kept]))[number.ravel()])

@@ -47,6 +47,10 @@ GEL_LAW = "neo_hookean"
 _APART = 0.01  # distance of points that touch, over the depth
 _RING = 40  # points along half of the shorter side of a gel, around it
 _MIN_MARKERS = 6  # within a contact
+_DIGITS = 6  # of rest positions (mm) by which markers are the same
+# Share of the variance of a marker's error that all presses have in common: that of the marker at
+# rest, whose place among the pixels it has in each of them. Half of it in rendered images.
+_AT_REST = 0.5
 _MAX_TURN = np.deg2rad(1.0)  # of the sensor between first contact and a press
 
 
@@ -173,9 +177,9 @@ class GelProblem(InverseProblem):
             _make_contact(recording, numbers, youngs_mpa, (cells, layers), sizing)
             for numbers, sizing in zip(groups, sizings, strict=True)
         ]
-        none = np.zeros(0, dtype=np.int64)
+        none, apart = np.zeros(0, dtype=np.int64), (1.0 - _AT_REST) ** -0.5
         observations = tuple(
-            Observation(none, g.displacement_mm.ravel(), np.repeat(1.0 / g.deviations_mm, 2))
+            Observation(none, g.displacement_mm.ravel(), np.repeat(apart / g.deviations_mm, 2))
             for g in self.readings
         )
         self.data = DataModel(observations)
@@ -211,6 +215,22 @@ class GelProblem(InverseProblem):
         given = [None] * count if starts is None else list(starts)
         presses: list[Any] = map_cases(lambda i: self._solve(i, youngs, given), count)
         return GelEvaluation(youngs, self.assumed, np.zeros((0, 3)), presses, self.data)
+
+    @property
+    def marker_errors(self) -> sp.csr_matrix:
+        """Errors of unit deviation that presses have in common by their markers at rest.
+
+        They are in deviations of the data, whose white noise is that of the other errors: a column
+        for each component of a marker of a sensor.
+        """
+        keys = [
+            (reading.layer.tobytes(), *np.round(marker, _DIGITS), axis)
+            for reading in self.readings for marker in reading.markers_mm for axis in (0, 1)
+        ]  # fmt: skip
+        numbers = {key: column for column, key in enumerate(dict.fromkeys(keys))}
+        columns = [numbers[key] for key in keys]
+        values = np.full(len(keys), (_AT_REST / (1.0 - _AT_REST)) ** 0.5)
+        return sp.csr_matrix((values, (np.arange(len(keys)), columns)))
 
     def motion(self, number: int) -> Float[np.ndarray, "3"]:
         """Return the motion of the sensor in a press from first touch, in its frame, mm."""

@@ -292,14 +292,18 @@ class SearchProblem:
         """
         if self.groups is not None:
             return True
+        rise, count = self.misfit_rise(model, z) / max(1.0, model.fit.chi2), len(z)
+        return rise < count + _WIDE * np.sqrt(2.0 * count)
+
+    def misfit_rise(self, model: Model, z: Float[np.ndarray, " size"]) -> float:
+        """Return the sum of squared residuals at other parameters, less that of a model."""
         data = self.data(model.errors).shifted(self.offsets(model))
         family = ShapesOnSites(model.fit.field, self._reduced_sites)
-        best, misfit = (
+        best, other = (
             float(np.sum(self.reduced.with_data(data).evaluate(family.at(x).youngs).residuals ** 2))
             for x in (model.fit.z, z)
         )
-        rise, count = (misfit - best) / max(1.0, model.fit.chi2), len(z)
-        return rise < count + _WIDE * np.sqrt(2.0 * count)
+        return other - best
 
     def jacobian(self, model: Model) -> Float[np.ndarray, "data size"]:
         """Return the derivatives of the residuals of white noise by a model's parameters."""
