@@ -21,8 +21,8 @@ from tactorch.phantoms import Phantom, RandomPhantom
 from tactorch.phantoms.draws import Range, check_ranges
 from tactorch.recording import MaterialSpec
 from tactorch.simulation import PressPlan
+from tactorch.touch.coupled import check_material
 from tactorch.touch.options import TouchOptions
-from tactorch.touch.scene import check_material
 
 LINEAR = "linear"
 
@@ -192,7 +192,7 @@ class Recipe(Options):
 
     def _check_touch(self) -> None:
         sensor = self.touch.description()
-        check_material(self.material, sensor)
+        check_material(self.material, sensor.gel.material)
         try:
             self.touch.gel_mesh(sensor.gel)
         except ConfigError as error:

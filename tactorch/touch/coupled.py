@@ -6,7 +6,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from tactorch.errors import ConvergenceError
+from tactorch.config import to_mapping
+from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions, Supports, make_material
 from tactorch.fem.assembly import Assembly
 from tactorch.fem.contact.contact import RELATIVE_STIFFNESS
@@ -192,3 +193,14 @@ class Coupled:
             self.assembly, self.pool, youngs, nothing, self.supports, options, after,
             contact=contact,
         )  # fmt: skip
+
+
+def check_material(material: MaterialSpec, law: str) -> None:
+    """Raise ConfigError unless a body is of the constitutive law of a gel."""
+    body = make_material(material.name, material.poisson, **material.parameters)
+    gel = make_material(law, material.poisson)
+    if type(body) is not type(gel) or to_mapping(body) != to_mapping(gel):
+        raise ConfigError(
+            f"material={material.name} {material.parameters or ''} differs from {law} of the gel;"
+            f" both are solved together, so give material={law} with its default parameters."
+        )

@@ -17,16 +17,15 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tactorch.config import to_mapping
 from tactorch.errors import ConfigError
-from tactorch.fem import ELEMENTS, Supports, make_material
+from tactorch.fem import ELEMENTS, Supports
 from tactorch.mesh import TetMesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import MaterialSpec
 from tactorch.sensor.description import SensorDescription
 from tactorch.sensor.gel import GelMesh
 from tactorch.sensor.poses import Pose, rotate_vectors
-from tactorch.touch.coupled import Coupled, CoupledState
+from tactorch.touch.coupled import Coupled, CoupledState, check_material
 from tactorch.touch.options import TouchOptions
 from tactorch.touch.pairing import ELEMENT, Facing, face_each_other
 
@@ -81,7 +80,7 @@ class TouchScene:
     options: TouchOptions
 
     def __post_init__(self) -> None:
-        check_material(self.material, self.sensor)
+        check_material(self.material, self.sensor.gel.material)
 
     @cached_property
     def gel(self) -> GelMesh:
@@ -135,19 +134,6 @@ class TouchScene:
             u = state.displacement
             presses.append(_press(coupled, state, first_pose))
         return presses
-
-
-def check_material(material: MaterialSpec, sensor: SensorDescription) -> None:
-    """Raise ConfigError unless a body and the gel of a sensor are of one constitutive law."""
-    gel = sensor.gel
-    body = make_material(material.name, material.poisson, **material.parameters)
-    other = make_material(gel.material, material.poisson)
-    if type(body) is not type(other) or to_mapping(body) != to_mapping(other):
-        raise ConfigError(
-            f"material={material.name} {material.parameters or ''} differs from {gel.material} of"
-            f" the gel of the sensor '{sensor.name}'; both are solved together, so give"
-            f" material={gel.material} with its default parameters."
-        )
 
 
 def held_nodes(mesh: TetMesh, side: str, fraction: float) -> Bool[np.ndarray, " n"]:

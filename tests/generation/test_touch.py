@@ -169,7 +169,7 @@ def test_recipes_that_no_sample_can_be_made_of_are_refused(make: Make, tmp_path:
     write_surface(tmp_path / "open.stl", vertices, triangles[1:])
     with pytest.raises(MeshError, match=r"open.stl.*open"):
         make(family={"name": "file", "file": str(tmp_path / "open.stl")})
-    with pytest.raises(ConfigError, match="gel of the sensor 'small'"):
+    with pytest.raises(ConfigError, match="differs from neo_hookean of the gel"):
         make(material=MaterialSpec("linear", 0.45))
     with pytest.raises(
         ConfigError, match=r"dataset.touch.gel_edge_mm: edge_mm=9.*at least 4 cells"

@@ -6,7 +6,6 @@ contact ends, is that of the finite elements of both, see `tactorch.touch.couple
 """
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,9 +15,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from tactorch.config import to_mapping
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.fem import Supports, make_material
+from tactorch.fem import Supports
 from tactorch.fem.contact.pair import Pairs
 from tactorch.inverse.data.nuisance import Nuisance
 from tactorch.inverse.data.observations import DataModel, Observation
@@ -39,7 +37,7 @@ from tactorch.sensor.description import GelLayer
 from tactorch.sensor.gel import GelMesh
 from tactorch.sensor.gel.face import edge_sizing
 from tactorch.sensor.poses import Pose, transform_points
-from tactorch.touch.coupled import Coupled, CoupledState
+from tactorch.touch.coupled import Coupled, CoupledState, check_material
 from tactorch.touch.pairing import Facing, face_each_other
 
 #: Constitutive law of gel and object.
@@ -165,7 +163,9 @@ class GelProblem(InverseProblem):
         # Pairs of each press that do not slip, by the first evaluation: a set that changes from one
         # evaluation to the next would change the predictions by leaps.
         self._sticking: dict[int, Bool[np.ndarray, " p"]] = {}
-        _check_material(recording)
+        check_material(recording.material, GEL_LAW)
+        if recording.density:
+            raise ConfigError("the object has weight, which gel and object do not account for.")
         self.readings = [_reading(press) for press in recording.presses]
         groups = _group(recording.presses)
         self.contact_of = [0] * len(recording.presses)
@@ -187,12 +187,6 @@ class GelProblem(InverseProblem):
             _marker_rows(self._touched[k], reading)
             for k, reading in zip(self.contact_of, self.readings, strict=True)
         ]
-
-    def with_data(self, data: DataModel) -> "GelProblem":
-        """Return the problem with other data."""
-        problem = copy(self)
-        problem.data = data
-        return problem
 
     def evaluate(
         self,
@@ -376,20 +370,6 @@ def within_contacts(recording: Recording, rims: Sequence[Rim], margin: float) ->
     if not presses:
         raise ConfigError(f"no press has {_MIN_MARKERS} markers within its contact.")
     return replace(recording, presses=tuple(presses), check_units=False)
-
-
-def _check_material(recording: Recording) -> None:
-    """Refuse what gel and object do not have in common, or what the equilibrium leaves out."""
-    law = recording.material
-    own = make_material(law.name, law.poisson, **law.parameters)
-    gel = make_material(GEL_LAW, law.poisson)
-    if type(own) is not type(gel) or to_mapping(own) != to_mapping(gel):
-        raise ConfigError(
-            f"material={law.name} {law.parameters or ''} is not {GEL_LAW} with its default "
-            "parameters, which gel and object have in common."
-        )
-    if recording.density:
-        raise ConfigError("the object has weight, which gel and object do not take into account.")
 
 
 def _reading(press: Press) -> GelReading:

@@ -1,7 +1,7 @@
 """The posterior of shapes, normal in coordinates on which the data depend nearly linearly."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from tactorch.inverse.data.plain import to_plain
-from tactorch.inverse.fields import ShapeField, Vector, strength
+from tactorch.inverse.fields import CENTER, ShapeField, Vector, strength
 from tactorch.inverse.posterior.ridges import Ridge
 
 Draws = Float[np.ndarray, "k size"]
@@ -152,6 +152,17 @@ class ShapePosterior:
     def _accepted(self) -> float:
         """Fraction of samples of normal strengths and squared radii that are within limits."""
         return len(self._linear_samples(np.random.default_rng(0), _TRIALS)) / _TRIALS
+
+    def misplaced(self, deviation_mm: float) -> "ShapePosterior":
+        """Return the posterior with an error of the places of inclusions, which data do not show.
+
+        `deviation_mm` is its standard deviation along each axis.
+        """
+        covariance = self.covariance.copy()
+        for k in range(len(self.field.families)):
+            center = self.field.index(k, *CENTER)
+            covariance[center, center] += (deviation_mm / self.field.deviation[center]) ** 2
+        return replace(self, covariance=covariance)
 
     def plain(self) -> dict[str, Any]:
         """Return plain JSON values; the inverse of `of`."""

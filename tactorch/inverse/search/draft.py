@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from tactorch.fem import NewtonOptions, SoftBody
 from tactorch.inverse.errors import ErrorModel, MeasuredPresses
-from tactorch.inverse.fields import CENTER, ShapePrior, Sites
+from tactorch.inverse.fields import ShapePrior, Sites
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.starts import uniform_fit
 from tactorch.inverse.forward.predictions import Predictions
@@ -72,11 +72,7 @@ class _Presses(SearchProblem):
     def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
         """Return the posterior, with the error of the positions of presses."""
         _, posterior = super().posterior(model)
-        covariance = posterior.covariance.copy()
-        for k in range(len(model.fit.field.families)):
-            center = posterior.field.index(k, *CENTER)
-            covariance[center, center] += (self._pose_mm / posterior.field.deviation[center]) ** 2
-        return model, replace(posterior, covariance=covariance)
+        return model, posterior.misplaced(self._pose_mm)
 
 
 class DraftShapes:

@@ -18,7 +18,7 @@ from tactorch.fem import ELEMENTS
 from tactorch.inverse.data.observations import DataModel
 from tactorch.inverse.errors import Levels
 from tactorch.inverse.errors.discrepancy import smooth_patterns
-from tactorch.inverse.fields import CENTER, InclusionShape, ShapeField, Sites, Vector
+from tactorch.inverse.fields import InclusionShape, ShapeField, Sites, Vector
 from tactorch.inverse.fit.shapes import ShapesOnSites
 from tactorch.inverse.forward.gel import GelEvaluation, GelProblem, pressed, within_contacts
 from tactorch.inverse.forward.problem import Evaluation
@@ -82,8 +82,7 @@ def through_gel(
                 "gel.", model.fit.chi2,
             )  # fmt: skip
             return result
-        model, posterior = final_posterior(problem, model)
-        posterior = _with_place(posterior, recording)
+        model, posterior = problem.posterior(model)
         found = replace(result, field=model.fit.field, z=model.fit.optimum, posterior=posterior)
         at_medians = problem.belong_together(model, found.estimate)
     except CancelledError:
@@ -97,21 +96,10 @@ def through_gel(
     )
 
 
-def _with_place(posterior: ShapePosterior, recording: Recording) -> ShapePosterior:
-    """Return the posterior with the error of the sensor's position across its axis.
-
-    It shifts the object under the gel, and markers hardly show it.
-    """
-    position = max(float(press.gel.uncertain[1]) for press in recording.presses if press.gel)
-    covariance = posterior.covariance.copy()
-    for k in range(len(posterior.field.families)):
-        center = posterior.field.index(k, *CENTER)
-        covariance[center, center] += (position / posterior.field.deviation[center]) ** 2
-    return replace(posterior, covariance=covariance)
-
-
 class _Search(SearchProblem):
     """Gel and object with data that are corrected for the discretisation."""
+
+    full: GelProblem
 
     def __init__(self, full: GelProblem, sites: Sites, stop: Callable[[], bool]) -> None:
         super().__init__(stop)
@@ -119,6 +107,14 @@ class _Search(SearchProblem):
 
     def data(self, errors: Levels) -> DataModel:
         return self.full.data
+
+    def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
+        """Return the posterior, with the error of the sensor's position across its axis.
+
+        It shifts the object under the gel, and markers hardly show it.
+        """
+        model, posterior = final_posterior(self, model)
+        return model, posterior.misplaced(max(float(r.uncertain[1]) for r in self.full.readings))
 
     def misfit_rise(self, model: Model, z: Vector) -> float:
         youngs = ShapesOnSites(model.fit.field, self.sites).at(z).youngs
