@@ -22,7 +22,8 @@ from tactorch.sensor.calibration import (
 )
 from tactorch.sensor.calibration.camera import CameraLight, CameraMap
 from tactorch.sensor.calibration.fit import fit_to_contacts
-from tactorch.sensor.camera import Shading, fit_light
+from tactorch.sensor.calibration.maps import map_slopes
+from tactorch.sensor.camera import HeightFitOptions, Shading, fit_height, fit_light
 
 from . import ball_images
 
@@ -93,6 +94,23 @@ def test_fitted_heights_are_better_than_those_of_a_coarse_lookup(
         errors[depth] = float(np.sqrt(np.mean((height.height_mm - true) ** 2)))
     assert errors["fit"] < errors["lookup"]
     assert errors["fit"] < 0.05 * -true.min()
+
+
+def test_three_steps_fit_a_height(presses: list[BallPress], fitted: CameraMap) -> None:
+    """With the whole curvature of the cost; without part of it more steps reach the minimum."""
+    found, _ = fit_map(presses, BALL, FitOptions("lookup", rounds=0))
+    image = ball_images.ball((60.0, 55.0))
+    start = Calibration(found, REFERENCE, BALL.mm_per_px).height(image)
+    change, light = image_change(image, REFERENCE), fitted.light
+    assert light is not None
+    heights = [
+        fit_height(
+            change, light.shading, light.deviation, map_slopes(found, change), start,
+            BALL.mm_per_px, HeightFitOptions(iterations=steps),
+        ).height_mm
+        for steps in (3, 30)
+    ]  # fmt: skip
+    assert np.abs(heights[0] - heights[1]).max() < 0.005 * start.depth_mm
 
 
 def test_the_light_is_stored_with_a_calibration(fitted: CameraMap, tmp_path: Path) -> None:

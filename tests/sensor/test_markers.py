@@ -1,13 +1,17 @@
 """Markers are found to a fraction of a pixel, followed, and rather lost than mistaken."""
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from tactorch.errors import ConfigError
+from tactorch.sensor.chain import ChainOptions, SensorChain
+from tactorch.sensor.depth import HeightMap
 from tactorch.sensor.description import GelLayer, SensorDescription
+from tactorch.sensor.frames import Frame
 from tactorch.sensor.markers import (
     MarkerAppearance,
     MarkerTracker,
@@ -172,3 +176,29 @@ def test_displacements_are_in_millimetres(make_sensor: Callable[..., SensorDescr
     assert np.isnan(moved[2]).all()
     with pytest.raises(ConfigError, match="heights are"):
         marker_displacements(sensor, begin, places, height[:-1])
+
+
+def test_nodes_have_the_height_of_the_place_they_have_moved_to(
+    make_sensor: Callable[..., SensorDescription],
+) -> None:
+    gel = GelLayer(4.0, 0.2, radius_mm=9.0, curvature_radius_mm=30.0)
+    sensor = make_sensor(mm_per_px=(0.3, 0.25), gel=gel)
+    rows, columns = np.mgrid[:48, :64]
+    height = -0.5 - 0.01 * columns - 0.02 * rows
+    everywhere = np.ones(height.shape, dtype=bool)
+    begin = np.array([(11.5, 3.5), (51.5, 3.5), (11.5, 43.5), (51.5, 43.5)])
+    nodes = np.array([(0.0, 0.0, 0.0), (3.0, 0.0, np.sqrt(30**2 - 9) - 30)])
+    chain = object.__new__(SensorChain)
+    chain.sensor, chain.options = sensor, ChainOptions()
+    chain.reference = np.zeros((48, 64, 3), np.uint8)
+    chain.model = SimpleNamespace(points=nodes)
+    moved = begin + np.array([2.0, -4.0])
+    chain.tracker = SimpleNamespace(reference_px=begin, fault="", track=lambda image: moved)
+    chain.calibration = SimpleNamespace(
+        height=lambda *_, **__: HeightMap(height, height + 1.0, ~everywhere, everywhere)
+    )
+    found = chain.measure_deformation(Frame(0, "a.png", chain.reference))
+    # Nodes are at columns 31.5 and 41.5, row 23.5, before all points move by 2 and -4 pixels.
+    rise = 0.5 - 0.01 * np.array([33.5, 43.5]) - 0.02 * 19.5
+    rise += gel.height_mm(np.array([(0.6, -1.0), (3.6, -1.0)])) - nodes[:, 2]
+    np.testing.assert_allclose(found.displacement, np.column_stack([[0.6] * 2, [-1.0] * 2, rise]))

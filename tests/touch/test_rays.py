@@ -33,6 +33,17 @@ def test_lowest_of_two_sheets_is_seen_and_back_sides_are_not() -> None:
     np.testing.assert_allclose(hits.barycentric[0] @ points[triangles[0]], (0, 0, 1), atol=1e-12)
 
 
+def test_rays_may_go_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So they do where there are more triangles than pairs that are made at once."""
+    surface = Hemisphere((0.0, 0.0, 0.0), 6.0, (0.0, 0.0, -1.0)).surface(24)
+    rays = np.array([(0.1, 0.2), (2.0, 1.0), (8.0, 0.0)])
+    together = first_hits(*surface, rays)
+    assert np.isfinite(together.z_mm).tolist() == [True, True, False]
+    monkeypatch.setattr("tactorch.touch.rays._CHUNK", 1)
+    for found, expected in zip(first_hits(*surface, rays), together, strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
 def test_bodies_of_files_are_their_triangles(tmp_path: Path) -> None:
     path = tmp_path / "dome.stl"
     write_surface(path, *Hemisphere((0.0, 0.0, 0.0), 6.0).surface(24))

@@ -2,6 +2,7 @@
 
 import io
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +93,17 @@ def test_each_object_has_a_view_in_three_dimensions(
     thing.show(screenshot=tmp_path / "view.png")
     picture = imread(tmp_path / "view.png")
     assert picture[..., :3].std() > 0.02  # not blank
+
+
+def test_a_pyvista_that_does_not_load_is_reported(
+    mesh: TetMesh, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """It is installed, but a library of the system that it needs is not."""
+    (tmp_path / "pyvista.py").write_text("raise ImportError('libGL.so.1: cannot open')")
+    monkeypatch.delitem(sys.modules, "pyvista", raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ConfigError, match=r"Views in 3-D need PyVista"):
+        mesh.to_pyvista()
 
 
 def test_text_in_pages_is_escaped(recording: Recording) -> None:
