@@ -36,7 +36,10 @@ def _pyvista() -> ModuleType:
             warnings.filterwarnings("ignore", message="IProgress not found")
             import pyvista
     except ImportError as error:
-        raise ConfigError("Views in 3-D need PyVista: pip install pyvista.") from error
+        raise ConfigError(
+            f"Views in 3-D need PyVista, which does not load: {error}. Install it by: pip install "
+            "pyvista"
+        ) from error
     return pyvista
 
 
