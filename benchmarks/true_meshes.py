@@ -152,13 +152,13 @@ def _bisect(
 
     Halves inherit the `values` of their element, of which the first are its labels.
     """
-    bisection = bisect(points, tets, large)
-    all_values = [own[bisection.origins] for own in values]
-    all_points = np.concatenate((points, points[bisection.ends].mean(axis=1)))
-    nodes, targets = _on_surfaces(phantom, all_points, bisection.tets, all_values[0])
+    ends, halves, origins = bisect(points, tets, large)
+    all_values = [own[origins] for own in values]
+    all_points = np.concatenate((points, points[ends].mean(axis=1)))
+    nodes, targets = _on_surfaces(phantom, all_points, halves, all_values[0])
     new = nodes >= len(points)
-    moved = _move(all_points, bisection.tets, nodes[new], targets[new])
-    return moved, bisection.tets, all_values
+    moved = _move(all_points, halves, nodes[new], targets[new])
+    return moved, halves, all_values
 
 
 def _on_surfaces(

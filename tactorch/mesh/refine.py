@@ -133,7 +133,7 @@ def refine(mesh: TetMesh, sizing: Sizing) -> Refinement:
 
     large = is_large(tets)
     while large.any():
-        halved, tets, origins = _bisect(points, tets, large)
+        halved, tets, origins = bisect(points, tets, large)
         parents, large = parents[origins], large[origins]
         points = np.concatenate((points, points[halved].mean(axis=1)))
         ends.append(halved)
@@ -155,7 +155,7 @@ def edge_lengths(points: Points, tets: Tets) -> Float[np.ndarray, "m 6"]:
     return np.linalg.norm(ends[:, :, 0] - ends[:, :, 1], axis=2)
 
 
-def _bisect(
+def bisect(
     points: Points, tets: Tets, large: Bool[np.ndarray, " m"]
 ) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, "fine 4"], Int[np.ndarray, " fine"]]:
     """Bisect the terminal edges of the longest-edge paths that start at some elements.

@@ -95,7 +95,7 @@ def test_generate_writes_touches_with_their_pictures(tactorch: Any, tmp_path: Pa
         (("dataset.family.name=cats",), ("dataset.family=cats is unknown", "bodies, file")),
         (("dataset.family={name: file}",), ("family.file is required",)),
         (("dataset.family={name: file, file: no.stl}",), ("no.stl",)),
-        (("material=linear",), ("material=linear", "gel of the sensor")),
+        (("material=linear",), ("material=linear", "neo_hookean of the gel")),
     ],
 )
 def test_wrong_settings_of_touch(

@@ -188,6 +188,12 @@ class GelProblem(InverseProblem):
             for k, reading in zip(self.contact_of, self.readings, strict=True)
         ]
 
+    def with_data(self, data: DataModel) -> "GelProblem":
+        """Return the problem with other data."""
+        problem = super().with_data(data)
+        assert isinstance(problem, GelProblem)
+        return problem
+
     def evaluate(
         self,
         youngs: Moduli,

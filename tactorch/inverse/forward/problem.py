@@ -5,7 +5,7 @@ from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -555,7 +555,7 @@ class InverseProblem:
         """Number of moduli."""
         return self.recording.mesh.n_tets
 
-    def with_data(self, data: DataModel) -> Self:
+    def with_data(self, data: DataModel) -> "InverseProblem":
         """Return the problem with other data, on the same body."""
         problem = copy(self)
         problem.data = data
