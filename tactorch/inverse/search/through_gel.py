@@ -6,11 +6,11 @@ what the mesh changes of them is corrected by a finer one.
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from tactorch.errors import UNCOMPUTABLE, CancelledError
@@ -163,25 +163,30 @@ def _with_errors(
     problem: GelProblem, evaluation: Evaluation, offsets: list[Float[np.ndarray, " data"]]
 ) -> DataModel:
     """Return the data corrected by offsets (mm), with errors that they have in common."""
-    data, contacts = problem.data, np.array(problem.contact_of)
-    owner, readings = np.repeat(contacts, data.counts), problem.readings
-    change = np.concatenate(offsets)
-    columns = [_REMAINING * np.where(owner == k, change, 0.0) for k in range(contacts.max() + 1)]
-    patterns = [np.column_stack(columns)]
-    for k in range(contacts.max() + 1):
-        own = [readings[i] for i in np.flatnonzero(contacts == k)]
-        size = [np.full(len(r.markers_mm), np.sqrt(np.mean(r.displacement_mm**2))) for r in own]
-        smooth = smooth_patterns(np.concatenate([reading.markers_mm for reading in own]))
-        along = np.zeros((len(owner), 2 * smooth.shape[1]))
-        both = np.kron(_SMOOTH * np.concatenate(size)[:, None] * smooth, np.eye(2))
-        along[owner == k] = both
-        patterns.append(along)
     assert isinstance(evaluation, GelEvaluation)
-    uncertain = evaluation.uncertain(problem.contact_of, readings)
-    common = np.hstack([uncertain, np.hstack(patterns) * data.scale[:, None]])
+    data, contacts = problem.data, np.array(problem.contact_of)
+    uncertain = evaluation.uncertain(problem.contact_of, problem.readings)
+    owner, change = np.repeat(contacts, data.counts), _REMAINING * np.concatenate(offsets)
+    remaining = np.where(owner[:, None] == np.arange(contacts.max() + 1), change[:, None], 0.0)
+    patterns = np.hstack([remaining, *_smooth_errors(problem, owner)])
+    common = np.hstack([uncertain, patterns * data.scale[:, None]])
     kept = (common != 0.0).any(axis=0)
     common = np.hstack([common[:, kept], problem.marker_errors.toarray()])
     return data.shifted([-offset for offset in offsets]).with_errors(common)
+
+
+def _smooth_errors(
+    problem: GelProblem, owner: Int[np.ndarray, " data"]
+) -> Iterator[Float[np.ndarray, "data k"]]:
+    """Yield the smooth errors (mm) of each contact, by the contact of each datum."""
+    for k in range(owner.max() + 1):
+        own = [r for r, at in zip(problem.readings, problem.contact_of, strict=True) if at == k]
+        smooth = smooth_patterns(np.concatenate([reading.markers_mm for reading in own]))
+        sizes = [np.sqrt(np.mean(reading.displacement_mm**2)) for reading in own]
+        deviations = _SMOOTH * np.repeat(sizes, [len(reading.markers_mm) for reading in own])
+        errors = np.zeros((len(owner), 2 * smooth.shape[1]))
+        errors[owner == k] = np.kron(deviations[:, None] * smooth, np.eye(2))
+        yield errors
 
 
 class _Correction:
