@@ -1,6 +1,6 @@
 """From camera images to a map of Young's modulus, without inverse crime (Section VI).
 
-    python benchmarks/sensor_chain.py [--session NAME...] [--rim 0.5] [--keep FOLDER] [--out FOLDER]
+    python benchmarks/sensor_chain.py [--session NAME...] [--rim 0.4] [--keep FOLDER] [--out FOLDER]
 
 A cube of 10 mm with a ball is pressed on three sides, to two depths each, by a gel of 16 mm that is
 wider than it. Gel and cube are one body of quadratic elements, refined at the edge of the contact,
@@ -51,11 +51,12 @@ SIDE, POISSON = 10.0, 0.45
 # A wide, flat contact has small slopes; without contact they are below a third of this.
 MIN_SLOPE = 0.03
 APART = 0.4  # mm, of gel and cube before and after
+FRAME_RATE_HZ = 10.0
 NOISE = 1.5  # of the camera, gray values
 GEL = GelLayer(4.0, 0.12, POISSON, size_mm=(16.0, 16.0))
 SENSOR = SensorDescription(
     "simulated", (320, 320), (0.05, 0.05), GEL, MarkerGrid(13, 13, (1.2, 1.2), 0.45),
-    frame_rate_hz=10.0, raw_size_px=(400, 380), intrinsics_px=(520.0, 520.0, 199.0, 188.0),
+    frame_rate_hz=FRAME_RATE_HZ, raw_size_px=(400, 380), intrinsics_px=(520.0, 520.0, 199.0, 188.0),
     distortion=(-0.18, 0.05, 0.001, -0.0015),
     warp_corners_px=((42.0, 31.0), (357.0, 34.0), (354.0, 349.0), (39.0, 346.0)),
 )  # fmt: skip
@@ -73,7 +74,7 @@ DOWN = np.array([(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)])
 
 @dataclass(frozen=True)
 class Session:
-    """Object and presses of a session.
+    """Object and presses of a session on a cube.
 
     Attributes:
         ball: Inclusion.
@@ -103,7 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the chain and print the tables and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--session", nargs="+", default=["main"], choices=[*SESSIONS, "all"])
-    parser.add_argument("--rim", type=float, default=0.5, help="edges at the contact's edge, mm")
+    parser.add_argument("--rim", type=float, default=0.4, help="edges at the contact's edge, mm")
     parser.add_argument("--keep", type=Path, help="folder for images and runs")
     parser.add_argument("--out", type=Path, help="folder for sensor_chain.json and .md")
     options = parser.parse_args(arguments)
@@ -161,22 +162,28 @@ def gel_face(contact: Contact, session: Session, depth: float) -> tuple[np.ndarr
     return (contact.points - origin) @ DOWN, (contact.moved + np.array([0.0, 0.0, depth])) @ DOWN
 
 
-def draw_session(place: Path, session: Session, contacts: dict[str, list[Contact]]) -> None:
-    """Write what a user has: description, presses of a ball, frames of the session, poses."""
+def draw_calibration(place: Path, first: int, sensor: SensorDescription = SENSOR) -> None:
+    """Write the description, an image without contact and presses of a ball; seeds from `first`."""
     for name in ("balls", "frames"):
         (place / name).mkdir(parents=True, exist_ok=True)
-    save_sensor(SENSOR, place / "sensor.yaml")
-    first = 10_000 * session.seed
-    save_image(still(first + 1000), place / "still.png")
+    save_sensor(sensor, place / "sensor.yaml")
+    save_image(still(first + 1000, sensor), place / "still.png")
     rng = np.random.default_rng(first + 3)
     for i in range(14):
-        image = ball_image(rng.uniform(70, 250, 2), float(rng.uniform(32, 44)), first + 2000 + i)
+        center = 70.0 + rng.uniform(0.0, 1.0, 2) * (np.array(sensor.image_size_px) - 140.0)
+        image = ball_image(center, float(rng.uniform(32, 44)), first + 2000 + i, sensor)
         save_image(image, place / "balls" / f"{i:02d}.png")
-    rows: list[list[float]] = []
+
+
+def draw_session(place: Path, session: Session, contacts: dict[str, list[Contact]]) -> None:
+    """Write what a user has: description, presses of a ball, frames of the session, poses."""
+    first = 10_000 * session.seed
+    draw_calibration(place, first)
+    poses = list[np.ndarray]()
     for name, turn in SIDES.items():
         pairs = list(zip(session.depths_mm, contacts[name], strict=True))
         for pair in (None, None, *pairs, None):
-            number = len(rows)
+            number = len(poses)
             if pair is None:
                 image, depth = still(first + number), -APART
             else:
@@ -184,19 +191,26 @@ def draw_session(place: Path, session: Session, contacts: dict[str, list[Contact
                 face = build_surface(SENSOR, *gel_face(pair[1], session, depth))
                 image = photographed(face, first + number)
             save_image(image, place / "frames" / f"{number:03d}.png")
-            rows.append([number / 10.0, *pose_row(session, turn, depth)])
+            poses.append(pose_of(session, turn, depth))
+    write_poses(place, poses)
+
+
+def write_poses(place: Path, poses: Sequence[np.ndarray]) -> None:
+    """Write the pose of the sensor in each frame."""
     with open(place / "poses.csv", "w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(["time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"])
-        table.writerows([f"{value:.9g}" for value in row] for row in rows)
+        for number, pose in enumerate(poses):
+            turn = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
+            values = number / FRAME_RATE_HZ, *pose[:3, 3], *turn
+            table.writerow([f"{value:.9g}" for value in values])
 
 
-def pose_row(session: Session, turn: np.ndarray, depth: float) -> list[float]:
-    """Place and quaternion of the sensor in the cube's frame."""
+def pose_of(session: Session, turn: np.ndarray, depth: float) -> np.ndarray:
+    """Pose of the sensor in the cube's frame."""
     back = np.eye(4)
     back[:3, :3], back[:3, 3] = turn.T, MIDDLE - turn.T @ MIDDLE
-    pose = back @ looking_down(session, SIDE - depth)
-    return [*pose[:3, 3], *Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)]
+    return back @ looking_down(session, SIDE - depth)
 
 
 def save_image(image: Image, path: Path) -> None:
@@ -204,45 +218,48 @@ def save_image(image: Image, path: Path) -> None:
     cv2.imwrite(str(path), image[..., ::-1])
 
 
-def photographed(face: GelSurface, seed: int) -> Image:
+def photographed(face: GelSurface, seed: int, sensor: SensorDescription = SENSOR) -> Image:
     """Draw what the camera sees of a face: through the lens, with noise and 8 bits."""
-    ideal = render(SENSOR, face, RenderOptions(noise=0.0)).astype(np.float32)
-    columns, rows = lens_map()
+    ideal = render(sensor, face, RenderOptions(noise=0.0)).astype(np.float32)
+    columns, rows = lens_map(sensor)
     seen = cv2.remap(ideal, columns, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     noisy = seen + np.random.default_rng(seed).normal(0.0, NOISE, seen.shape)
     return np.clip(noisy.round(), 0, 255).astype(np.uint8)
 
 
-def lens_map() -> tuple[np.ndarray, np.ndarray]:
+def lens_map(sensor: SensorDescription = SENSOR) -> tuple[np.ndarray, np.ndarray]:
     """Position in the rectified image of each pixel of a raw one."""
-    width, height = SENSOR.raw_size_px
-    fx, fy, cx, cy = SENSOR.intrinsics_px
+    width, height = sensor.raw_size_px
+    fx, fy, cx, cy = sensor.intrinsics_px
     matrix = np.array([(fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)])
     rows, columns = np.indices((height, width), dtype=np.float64)
     raw = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
-    straight = cv2.undistortPoints(raw, matrix, np.array(SENSOR.distortion), P=matrix)
-    w, h = SENSOR.image_size_px
+    straight = cv2.undistortPoints(raw, matrix, np.array(sensor.distortion), P=matrix)
+    w, h = sensor.image_size_px
     targets = np.array([(0, 0), (w - 1, 0), (w - 1, h - 1), (0, h - 1)], np.float32)
-    warp = cv2.getPerspectiveTransform(np.array(SENSOR.warp_corners_px, np.float32), targets)
+    warp = cv2.getPerspectiveTransform(np.array(sensor.warp_corners_px, np.float32), targets)
     found = cv2.perspectiveTransform(straight, warp).reshape(height, width, 2)
     return found[..., 0].astype(np.float32), found[..., 1].astype(np.float32)
 
 
-def still(seed: int) -> Image:
+def still(seed: int, sensor: SensorDescription = SENSOR) -> Image:
     """Draw the gel without contact."""
-    flat = GelSurface(np.zeros(SENSOR.shape), SENSOR.to_px(SENSOR.markers.positions_mm))
-    return photographed(flat, seed)
+    flat = GelSurface(np.zeros(sensor.shape), sensor.to_px(sensor.markers.positions_mm))
+    return photographed(flat, seed, sensor)
 
 
-def ball_image(center: np.ndarray, contact_px: float, seed: int) -> Image:
+def ball_image(
+    center: np.ndarray, contact_px: float, seed: int, sensor: SensorDescription = SENSOR
+) -> Image:
     """Draw a press of the ball; beyond its contact the gel rises back."""
-    rows, columns = np.indices(SENSOR.shape)
+    rows, columns = np.indices(sensor.shape)
     away = np.hypot(columns - center[0], rows - center[1]) * 0.05
     edge = contact_px * 0.05
     rim = 0.35 * edge / np.sqrt(9.0 - edge**2)
     inner = np.sqrt(9.0 - edge**2) - np.sqrt(np.maximum(9.0 - away**2, 0.0)) - rim
     height = np.where(away < edge, inner, -rim * np.exp(-(away - edge) / 0.35))
-    return photographed(GelSurface(height, SENSOR.to_px(SENSOR.markers.positions_mm)), seed)
+    markers = sensor.to_px(sensor.markers.positions_mm)
+    return photographed(GelSurface(height, markers), seed, sensor)
 
 
 def tactorch(*arguments: str) -> None:
@@ -349,7 +366,7 @@ def _between(points: np.ndarray, values: np.ndarray, places: np.ndarray) -> np.n
     return LinearNDInterpolator(points[:, :2], values)(places * (1.0 - 1e-9))
 
 
-def inverted(place: Path, session: Session, *, gels: bool = True) -> dict[str, Any]:
+def inverted(place: Path, session: Any, *, gels: bool = True) -> dict[str, Any]:
     """Invert, and compare the inclusion that was found with the ball.
 
     Without the gels, forces are those that the deformation of the gel alone gives.
@@ -425,8 +442,12 @@ def format_tables(results: dict[str, Any]) -> list[str]:
                 f" {one['true_force_n']:.3f} N ({ratio:+.1%}) |"
                 f" {one['object_rms_mm']:.4f} of {one['object_size_mm']:.3f} mm |"
             )
-    lines += [
-        "",
+    return [*lines, "", *found_table(results)]
+
+
+def found_table(results: dict[str, Any]) -> list[str]:
+    """Return the table of the lumps that are found, as Markdown."""
+    lines = [
         "| session | forces | lumps | off by | x, y, z | radius | ball, MPa | 90 % | around, MPa |"
         " chi2 | s |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
