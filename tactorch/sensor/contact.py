@@ -109,9 +109,12 @@ def build_press(
     sets = -rotate_vectors(pose, _with_errors(contact, in_contact))
     transferred = transfer_forces(paired, sets, mesh.points, triangles, contact.triangles)
     normal = first_pose[:3, 2]
-    interpolated = interpolate_displacements(paired, motion, points, normal, options.smoothing)
-    inside = np.isfinite(interpolated).all(axis=1)
+    known = np.column_stack([motion, contact.points[:, 2]])
+    found = interpolate_displacements(paired, known, points, normal, options.smoothing)
     at_rest = transform_points(np.linalg.inv(first_pose), points)
+    # The gel moves by the gap of its face from a curved object before it takes a point with it.
+    interpolated = found[:, :3] - (at_rest[:, 2] - found[:, 3])[:, None] * normal
+    inside = np.isfinite(interpolated).all(axis=1)
     touched = _interpolate_flags(contact.points, in_contact, at_rest)
     displacement = np.full(mesh.points.shape, np.nan)
     seen = inside & touched

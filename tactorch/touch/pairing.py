@@ -13,7 +13,7 @@ from tactorch.mesh import Shape, TetMesh
 from tactorch.mesh.geometry import frozen
 from tactorch.sensor.gel import GelMesh
 from tactorch.sensor.poses import Pose, transform_points
-from tactorch.touch.rays import first_hits, shape_heights
+from tactorch.touch.rays import first_hits, surface_heights
 
 #: Element of gel and body: linear ones of an almost incompressible gel are too stiff.
 ELEMENT = "tet10"
@@ -75,14 +75,18 @@ class Facing:
 
 
 def face_each_other(
-    body: TetMesh, shape: Shape | None, gel: GelMesh, pose: Pose, divisions: int = _DIVISIONS
+    body: TetMesh,
+    shape: Shape | TetMesh,
+    gel: GelMesh,
+    pose: Pose,
+    divisions: int = _DIVISIONS,
 ) -> Facing | None:
     """Pair the points of a gel with those of a body opposite to them; None where there are none.
 
     Distances are those of the shape itself, whose surface the mesh of the body follows within its
-    elements, or of the mesh where there is no shape. Triangles of the gel's face have six points in
-    each part into which `divisions` of their sides divide them: the more there are, the better the
-    area of a contact that ends within triangles is known.
+    elements, or of the curved surface through the nodes of a mesh. Triangles of the gel's face have
+    six points in each part into which `divisions` of their sides divide them: the more there are,
+    the better the area of a contact that ends within triangles is known.
     """
     moved = transform_points(np.linalg.inv(pose), body.points)
     face, shift = gel.mesh.surface, body.n_points
@@ -96,7 +100,7 @@ def face_each_other(
     # Elements have straight sides; the gaps are those of the face itself.
     points[:, 2] = gel.layer.height_mm(points[:, :2])
     hits = first_hits(moved, body.surface.triangles, points[:, :2])
-    heights = hits.z_mm if shape is None else shape_heights(shape, pose, points[:, :2])
+    heights = surface_heights(shape, pose, points[:, :2])
     rows = np.flatnonzero((hits.triangles >= 0) & np.isfinite(heights))
     if not len(rows):
         return None

@@ -5,7 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from tactorch.mesh import BodyFile, Shape
+from tactorch.mesh import BodyFile, Shape, TetMesh
+from tactorch.mesh.curved import curved_offsets
+from tactorch.mesh.geometry import area_vectors
 from tactorch.mesh.values import Points, Triangles
 from tactorch.sensor.poses import Pose, transform_points
 
@@ -66,14 +68,17 @@ def _lowest(
     return row, shares[every, row], heights[every, row]
 
 
-def shape_heights(shape: Shape, pose: Pose, rays: Rays) -> Float[np.ndarray, " q"]:
+def surface_heights(shape: Shape | TetMesh, pose: Pose, rays: Rays) -> Float[np.ndarray, " q"]:
     """Return the lowest z of a shape in the frame of a pose; infinite where a ray misses it.
 
-    Shapes of files are their triangles; rays go along the signed distance of others. The pose is
-    the transform from the frame of the rays to that of the shape.
+    The surface of a mesh is curved between its nodes, see `tactorch.mesh.curved`. Shapes of files
+    are their triangles; rays go along the signed distance of others. The pose is the transform from
+    the frame of the rays to that of the shape.
     """
-    low, high = shape.bounds()
     inverse = np.linalg.inv(pose)
+    if isinstance(shape, TetMesh):
+        return _curved_heights(shape, inverse, rays)
+    low, high = shape.bounds()
     if isinstance(shape, BodyFile):
         vertices, triangles = shape.surface()
         return first_hits(transform_points(inverse, vertices), triangles, rays).z_mm
@@ -91,3 +96,14 @@ def shape_heights(shape: Shape, pose: Pose, rays: Rays) -> Float[np.ndarray, " q
         if not len(active):
             break
     return z
+
+
+def _curved_heights(mesh: TetMesh, inverse: Pose, rays: Rays) -> Float[np.ndarray, " q"]:
+    points, triangles = transform_points(inverse, mesh.points), mesh.surface.triangles
+    hits = first_hits(points, triangles, rays)
+    heights, met = hits.z_mm, hits.triangles >= 0
+    chosen = hits.triangles[met]
+    offsets = curved_offsets(points, triangles, chosen, hits.barycentric[met])
+    normals = area_vectors(points, triangles[chosen])
+    heights[met] += (offsets * normals).sum(axis=1) / normals[:, 2]
+    return heights

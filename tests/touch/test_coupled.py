@@ -113,7 +113,7 @@ def test_divided_triangles_know_the_area_of_a_contact_better() -> None:
     cube, gel = box_mesh(10.0, 4), GelMesh(replace(LAYER, size_mm=(16.0, 16.0)), 1.6, 2)
     found = []
     for divisions in (1, 4):
-        facing = face_each_other(cube, None, gel, above(10.0), divisions)
+        facing = face_each_other(cube, cube, gel, above(10.0), divisions)
         assert facing is not None
         found.append(float(facing.areas_mm2.sum()))
         assert len(facing.points) + len(facing.others) == 200 * 6 * divisions**2

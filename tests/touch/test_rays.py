@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactorch.mesh import BodyFile, Box, Hemisphere, Shape, write_surface
-from tactorch.touch.rays import first_hits, shape_heights
+from tactorch.touch.rays import first_hits, surface_heights
 
 FROM_ABOVE = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -14,7 +14,7 @@ FROM_ABOVE = np.diag([1.0, -1.0, -1.0, 1.0])
 @pytest.mark.parametrize("shape", [Hemisphere((0.0, 0.0, 0.0), 6.0), Box((0.0, 0.0, 3.0), 6.0)])
 def test_heights_are_those_of_the_shape(shape: Shape) -> None:
     rays = np.array([(0.0, 0.0), (1.0, -2.0), (2.9, 0.3), (8.0, 0.0)])
-    heights = shape_heights(shape, FROM_ABOVE, rays)
+    heights = surface_heights(shape, FROM_ABOVE, rays)
     if isinstance(shape, Box):
         expected = np.array([-6.0, -6.0, -6.0, np.inf])
     else:
@@ -48,7 +48,7 @@ def test_bodies_of_files_are_their_triangles(tmp_path: Path) -> None:
     path = tmp_path / "dome.stl"
     write_surface(path, *Hemisphere((0.0, 0.0, 0.0), 6.0).surface(24))
     rays = np.array([(0.1, 0.2), (2.0, 1.0)])
-    exact = shape_heights(Hemisphere((0.0, 0.0, 0.0), 6.0), FROM_ABOVE, rays)
-    found = shape_heights(BodyFile(str(path)), FROM_ABOVE, rays)
+    exact = surface_heights(Hemisphere((0.0, 0.0, 0.0), 6.0), FROM_ABOVE, rays)
+    found = surface_heights(BodyFile(str(path)), FROM_ABOVE, rays)
     assert (found >= exact - 1e-5).all()  # the polyhedron is inside the hemisphere
     np.testing.assert_allclose(found, exact, atol=0.1)

@@ -12,8 +12,9 @@ from tactorch.mesh import Box, Sphere
 from tactorch.mesh.lattice import lattice_mesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import MaterialSpec
+from tactorch.sensor.contact import build_press
 from tactorch.sensor.description import GelLayer
-from tactorch.sensor.gel import GelMesh
+from tactorch.sensor.gel import GelContact, GelMesh
 from tactorch.touch import GelPress, TouchScene
 from tactorch.touch.pairing import face_each_other
 from tactorch.touch.scene import held_nodes
@@ -158,3 +159,19 @@ def test_inclusion_raises_the_force(make_scene: Make, above: np.ndarray) -> None
     hard = TouchScene(lump, plain.mesh, plain.material, plain.sensor, plain.options)
     forces = [scene.press(above, [DOWN])[0].forces[:, 2].sum() for scene in (plain, hard)]
     assert forces[1] < 1.2 * forces[0] < 0.0
+
+
+def test_gel_knows_how_far_it_moves_a_curved_body(make_scene: Make, above: np.ndarray) -> None:
+    """Points of the body move less than the gel, by their gap at first touch."""
+    scene = make_scene(edge_mm=1.5, gel_edge_mm=1.0)
+    (press,) = scene.press(above, [np.array([0.0, 0.0, 0.9])])
+    gel = GelContact(press.gel_points, press.gel_displacement, press.gel_forces)
+    loaded = np.linalg.norm(press.gel_forces, axis=1) > 0.0
+    found = build_press(gel, press.pose, press.first_pose, scene.mesh, loaded)
+    # Nodes near the top of the box are on it, not on the shape that gel and body touch along.
+    on_shape = np.abs(scene.phantom.body.signed_distance(scene.mesh.points)) < 1e-3
+    gaps = press.first_pose[2, 3] - scene.mesh.points[:, 2]
+    within = found.observed.all(axis=1) & on_shape & (gaps < 0.5)
+    assert gaps[within].max() > 0.3
+    truth = press.displacement[: scene.mesh.n_points][within]
+    np.testing.assert_allclose(found.displacement[within], truth, atol=0.03)

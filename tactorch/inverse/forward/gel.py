@@ -30,6 +30,7 @@ from tactorch.inverse.forward.problem import (
     NodalField,
 )
 from tactorch.linalg import map_cases
+from tactorch.mesh import TetMesh
 from tactorch.mesh.closest import closest_points
 from tactorch.mesh.refine import Sizing
 from tactorch.recording import GelReading, Press, Recording
@@ -138,6 +139,7 @@ class GelProblem(InverseProblem):
         layers: The same through the gel.
         gel_sizing: Longest edges (mm) of the gel's elements at points (mm) in the frame of the
             sensor, for each contact.
+        surface: Mesh with the surface of the object, where that of the recording is a refined one.
 
     Attributes:
         data: Displacements of the markers, and the statistics of their errors.
@@ -157,6 +159,7 @@ class GelProblem(InverseProblem):
         cells: int = 10,
         layers: int = 2,
         gel_sizing: Sequence[Sizing] | None = None,
+        surface: TetMesh | None = None,
     ) -> None:
         self.recording, self.assumed = recording, Nuisance(recording.material.poisson)
         self.evaluations = 0
@@ -174,7 +177,7 @@ class GelProblem(InverseProblem):
                 self.contact_of[number] = k
         sizings: Sequence[Sizing | None] = gel_sizing or [None] * len(groups)
         self._touched = [
-            _make_contact(recording, numbers, youngs_mpa, (cells, layers), sizing)
+            _make_contact(recording, numbers, youngs_mpa, (cells, layers), sizing, surface)
             for numbers, sizing in zip(groups, sizings, strict=True)
         ]
         none, apart = np.zeros(0, dtype=np.int64), (1.0 - _AT_REST) ** -0.5
@@ -400,6 +403,7 @@ def _make_contact(
     youngs_mpa: float,
     cells: tuple[int, int],
     sizing: Sizing | None,
+    surface: TetMesh | None,
 ) -> _Contact:
     first, mesh = recording.presses[numbers[0]], recording.mesh
     reading = _reading(first)
@@ -409,7 +413,7 @@ def _make_contact(
     gel = GelMesh(layer, shorter / cells[0], cells[1])
     if sizing is not None:
         gel = gel.refined(sizing)
-    facing = face_each_other(mesh, None, gel, reading.first_pose)
+    facing = face_each_other(mesh, surface or mesh, gel, reading.first_pose)
     if facing is None:
         raise ConfigError(f"{first.label}: the gel is over no part of the object; check its pose.")
     motions = [_motion(recording.presses[i], facing) for i in numbers]

@@ -204,7 +204,12 @@ class _Correction:
         fine = refine_recording(recording, smallest(*on_object))
         self._sites = _sites(fine.mesh)
         self._problem = GelProblem(
-            fine, youngs_mpa, cells=_CELLS, layers=_LAYERS, gel_sizing=sizings
+            fine,
+            youngs_mpa,
+            cells=_CELLS,
+            layers=_LAYERS,
+            gel_sizing=sizings,
+            surface=recording.mesh,
         )
 
     def offsets(
