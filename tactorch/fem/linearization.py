@@ -254,6 +254,19 @@ class Sensitivity:
         data = [self.observe(*pair) for pair in zip(fields, forces, strict=True)]
         return np.reshape(data, (len(changes), self.selection.shape[0])).T, fields
 
+    def load_response(
+        self, loads: Float[np.ndarray, "k nodes 3"], rtol: float | None = None
+    ) -> Float[np.ndarray, "data k"]:
+        """Return the changes of the data by loads (N), by one solve per load or datum.
+
+        See `Linearization.solve` for `rtol`.
+        """
+        if len(loads) <= self.selection.shape[0]:
+            moved = self.linearization.force_response(loads, rtol)
+            return np.reshape([self.observe(u) for u in moved], (len(loads), -1)).T
+        fields = self.linearization.solve(self.selection.T.toarray(order="F"), rtol)
+        return np.asarray(fields.T @ loads.reshape(len(loads), -1).T)
+
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Float[np.ndarray, " moduli"]:
         """Return the transposed derivative times weights of the data: the gradient (eq. 12)."""
         field = self.adjoint(weights).reshape(-1, 1)

@@ -67,3 +67,16 @@ def test_displacement_change_covers_all_nodes(problem):
     np.testing.assert_allclose(
         everywhere.ravel()[sensitivity.observed], jacobian @ change, atol=1e-12
     )
+
+
+@pytest.mark.parametrize("count", [2, 9])
+def test_load_response_is_the_same_by_loads_and_by_data(problem, count):
+    """Six data: fewer loads take one solve each, more take one solve for each datum."""
+    sensitivity, _ = problem
+    loads = np.random.default_rng(1).standard_normal(
+        (count, len(sensitivity.linearization.displacement), 3)
+    )
+    moved = np.array(sensitivity.linearization.force_response(loads))
+    expected = moved.reshape(count, -1)[:, sensitivity.observed].T
+    assert np.abs(expected).max() > 1e-3
+    np.testing.assert_allclose(sensitivity.load_response(loads), expected, rtol=0, atol=1e-10)

@@ -386,9 +386,7 @@ class Evaluation:
 
         `rtol` is the relative residual of the solves, by default that of derivatives.
         """
-        case = self.sensitivities[number]
-        moved = case.linearization.force_response(loads, rtol)
-        return np.column_stack([case.observe(u) for u in moved])
+        return self.sensitivities[number].load_response(loads, rtol)
 
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Moduli:
         """Return the transpose of d residuals / d youngs times `weights`."""
