@@ -73,7 +73,8 @@ class Linearization:
             rhs = rhs.copy(order="K")
             rhs[self.fixed] = 0.0
         with self.lease.hold() as lease:
-            if rtol > 0.0 and rhs.ndim == 2 and rhs.shape[1] >= _MIN_COLUMNS:
+            many = rhs.ndim == 2 and rhs.shape[1] >= _MIN_COLUMNS
+            if rtol > 0.0 and many and lease.factored is not self.tangent:
                 self._renew(lease)
             if rtol >= 1.0 and lease.factored is not None:
                 return lease.solve(rhs)

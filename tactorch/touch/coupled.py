@@ -21,6 +21,9 @@ from tactorch.touch.pairing import Facing
 
 _REACH = 2.0  # distance of pairs that may touch, over the depth
 _FIRST_RTOL = 1e-3  # of the forces without friction
+# Pairs of a first guess: those whose gap is less than this share of the depth. A gel that is much
+# softer than a round body touches all, and one that is much thicker than the contact half of it.
+_TOUCHED, _GUESS_RTOL = 0.6, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +170,12 @@ class Coupled:
         if sticking is not None:
             contact = replace(contact, sticking=sticking)
         is_last = sticking is not None or not self._sticks
-        newton = self._search(contact, youngs, self._rtol if is_last else _FIRST_RTOL)
+        rtol = self._rtol if is_last else _FIRST_RTOL
+        if sticking is None:
+            newton, start = self._guess(contact, youngs, start)
+            newton = self._search(contact, youngs, rtol, newton)
+        else:
+            newton = self._search(contact, youngs, rtol)
         result = newton.run(start)
         if not is_last and result.converged:
             sticking = contact.offsets(result.displacement)[:, 2] < 0.0
@@ -180,6 +188,22 @@ class Coupled:
                 f" {result.reason} Give a smaller depth_mm, or a larger gel_edge_mm."
             )
         return CoupledState(contact, newton, result)
+
+    def _guess(
+        self,
+        contact: PairContact,
+        youngs: Float[np.ndarray, "m2 q"],
+        start: Float[np.ndarray, "nodes 3"] | None,
+    ) -> tuple[Newton, Float[np.ndarray, "nodes 3"]]:
+        """Return a search and displacements near the equilibrium, in which fewer pairs touch.
+
+        From a contact that is too large, each iteration releases a ring of pairs only.
+        """
+        pairs, depth = contact.pairs, float(contact.motion_mm[2])
+        far = pairs.gaps_mm > _TOUCHED * depth
+        pairs = replace(pairs, gaps_mm=np.where(far, pairs.gaps_mm + _REACH * depth, pairs.gaps_mm))
+        newton = self._search(replace(contact, pairs=pairs), youngs, _GUESS_RTOL)
+        return newton, newton.run(start).displacement
 
     def _search(
         self,

@@ -245,7 +245,8 @@ def test_markers_within_the_contact_are_used(problem: GelProblem, recording: Rec
     youngs = ShapesOnSites(field, _sites(recording.mesh)).at(z).youngs
     rims = problem.rims(problem.evaluate(youngs))
     assert rims[0].size_mm == pytest.approx(10.0, rel=0.1)
-    left = within_contacts(recording, rims, 0.08)
+    left, numbers = within_contacts(recording, rims, 0.08)
+    assert numbers == [*range(len(recording.presses))]
     markers = left.presses[0].gel.markers_mm
     assert 25 <= len(markers) <= 81
     assert np.abs(markers).max() < 5.0
@@ -256,10 +257,25 @@ def test_markers_within_the_contact_are_used(problem: GelProblem, recording: Rec
     few = replace(few, markers_mm=few.markers_mm[:3] * 0.1, displacement_mm=np.zeros((3, 2)),
                   deviations_mm=few.deviations_mm[:3])  # fmt: skip
     presses = (replace(recording.presses[0], gel=few), *recording.presses[1:])
-    fewer = within_contacts(replace(recording, presses=presses, check_units=False), rims, 0.08)
+    some = replace(recording, presses=presses, check_units=False)
+    fewer, numbers = within_contacts(some, rims, 0.08)
+    assert numbers == [1, 2, 3]
     assert len(fewer.presses) == 3
     with pytest.raises(ConfigError, match="no press has 6 markers within its contact"):
         within_contacts(recording, rims, 2.0)
+
+
+def test_equilibria_are_taken_over(problem: GelProblem, recording: Recording) -> None:
+    """The same equilibrium is found from that of another problem, at once."""
+    field, z = field_and_truth(recording)
+    youngs = ShapesOnSites(field, _sites(recording.mesh)).at(z).youngs
+    first = problem.evaluate(youngs)
+    backwards = replace(recording, presses=recording.presses[::-1], check_units=False)
+    other, numbers = GelProblem(backwards, AROUND, cells=7), [*range(len(recording.presses))][::-1]
+    found = other.evaluate(youngs, starts=other.take_over(first, numbers))
+    for i, number in enumerate(numbers):
+        assert found._presses[i].equilibrium.iterations <= 1
+        np.testing.assert_allclose(found.predicted[i], first.predicted[number], atol=1e-9)
 
 
 def test_presses_before_first_touch_are_left_out(recording: Recording) -> None:

@@ -204,7 +204,7 @@ class GelProblem(InverseProblem):
         nuisance: Nuisance | None = None,
         take_over: bool = False,
         chained: bool = False,
-        starts: Sequence[NodalField] | None = None,
+        starts: Sequence[NodalField | None] | None = None,
     ) -> GelEvaluation:
         """Solve all presses at moduli of the object's quadrature points, MPa.
 
@@ -218,6 +218,22 @@ class GelProblem(InverseProblem):
         given = [None] * count if starts is None else list(starts)
         presses: list[Any] = map_cases(lambda i: self._solve(i, youngs, given), count)
         return GelEvaluation(youngs, self.assumed, np.zeros((0, 3)), presses, self.data)
+
+    def take_over(
+        self, evaluation: GelEvaluation, numbers: Sequence[int]
+    ) -> list[NodalField | None]:
+        """Return displacements to start from, those of the same presses of another problem.
+
+        Pairs that stick there stick here. `numbers` are those of the presses there.
+        """
+        starts = list[NodalField | None]()
+        for i, number in enumerate(numbers):
+            state, contact = evaluation._presses[number].state, self._touched[self.contact_of[i]]
+            same = len(state.contact.sticking) == len(contact.coupled.contact.sticking)
+            if same:
+                self._sticking[i] = state.contact.sticking
+            starts.append(state.displacement if same else None)
+        return starts
 
     @property
     def marker_errors(self) -> sp.csr_matrix:
@@ -358,8 +374,10 @@ def pressed(recording: Recording, youngs_mpa: float) -> Recording:
     return replace(recording, presses=kept, check_units=False)
 
 
-def within_contacts(recording: Recording, rims: Sequence[Rim], margin: float) -> Recording:
-    """Return the presses with those markers only that are within their contact.
+def within_contacts(
+    recording: Recording, rims: Sequence[Rim], margin: float
+) -> tuple[Recording, list[int]]:
+    """Return the presses with those markers only that are within their contact, and their numbers.
 
     Beside it, the face of the gel depends on where exactly the contact ends, and at its end the
     displacement changes within a marker. `margin` is the distance from there over the size. Presses
@@ -368,17 +386,18 @@ def within_contacts(recording: Recording, rims: Sequence[Rim], margin: float) ->
     Raises:
         ConfigError: no press has as many markers.
     """
-    presses = []
-    for press, rim in zip(recording.presses, rims, strict=True):
+    presses, numbers = list[Press](), list[int]()
+    for number, (press, rim) in enumerate(zip(recording.presses, rims, strict=True)):
         reading = _reading(press)
         kept = rim.outside.query(reading.markers_mm)[0] > margin * rim.size_mm
         if kept.sum() >= _MIN_MARKERS:
             arrays = ("markers_mm", "displacement_mm", "deviations_mm")
             left = {name: getattr(reading, name)[kept] for name in arrays}
             presses.append(replace(press, gel=replace(reading, **left)))
+            numbers.append(number)
     if not presses:
         raise ConfigError(f"no press has {_MIN_MARKERS} markers within its contact.")
-    return replace(recording, presses=tuple(presses), check_units=False)
+    return replace(recording, presses=tuple(presses), check_units=False), numbers
 
 
 def _reading(press: Press) -> GelReading:

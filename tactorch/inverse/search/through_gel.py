@@ -133,16 +133,17 @@ def _fitted(
         if check():
             raise CancelledError("The search is stopped in the fit of gel and object.")
 
-    problem, family = GelProblem(recording, typical), ShapesOnSites(field, sites)
-    rims = problem.rims(problem.evaluate(family.at(z).youngs))
+    problem, youngs = GelProblem(recording, typical), ShapesOnSites(field, sites).at(z).youngs
+    first = problem.evaluate(youngs)
+    rims = problem.rims(first)
     deepest = [rims[number] for number in problem.deepest_of_contacts]
     sizings = [rim.sizing(_SHORTEST) for rim in deepest]
     on_object = [rim.on_object(sizing) for rim, sizing in zip(deepest, sizings, strict=True)]
-    recording = within_contacts(recording, rims, _MARGIN)
+    recording, numbers = within_contacts(recording, rims, _MARGIN)
     go_on()
     problem = GelProblem(recording, typical)
     correction = _Correction(recording, typical, sizings, on_object, tuple(field.shapes(z)))
-    evaluation: Evaluation = problem.evaluate(family.at(z).youngs)
+    evaluation: Evaluation = problem.evaluate(youngs, starts=problem.take_over(first, numbers))
     search = _Search(problem, sites, check)
     for tolerance in (ROUGH, FINE):
         go_on()
