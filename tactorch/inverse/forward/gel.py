@@ -166,6 +166,7 @@ class GelProblem(InverseProblem):
         # Pairs of each press that do not slip, by the first evaluation: a set that changes from one
         # evaluation to the next would change the predictions by leaps.
         self._sticking: dict[int, Bool[np.ndarray, " p"]] = {}
+        self._deepest: dict[int, NodalField] = {}  # displacements of deepest presses
         check_material(recording.material, GEL_LAW)
         if recording.density:
             raise ConfigError("the object has weight, which gel and object do not account for.")
@@ -273,12 +274,16 @@ class GelProblem(InverseProblem):
         return found
 
     def deepest_predicted(self, youngs: Moduli) -> dict[int, Float[np.ndarray, " data"]]:
-        """Return the data (mm) of the deepest press of each contact, by its number."""
+        """Return the data (mm) of the deepest press of each contact, by its number.
+
+        Equilibria are searched from those of the last call.
+        """
         numbers = self.deepest_of_contacts
-        nothing = [None] * len(self.readings)
+        starts = [self._deepest.get(i) for i in range(len(self.readings))]
 
         def work(k: int) -> Float[np.ndarray, " data"]:
-            press = self._solve(numbers[k], youngs, nothing)
+            press = self._solve(numbers[k], youngs, starts)
+            self._deepest[numbers[k]] = press.state.displacement
             data = press.predicted(self.data.observations[numbers[k]])
             self._touched[k].coupled.forget()
             return data
