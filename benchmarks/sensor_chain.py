@@ -13,7 +13,9 @@ object only, by the commands of tactorch:
     tactorch invert             inclusions
 
 The error of each stage is relative to the simulation. Sessions differ in the ball, the place of the
-sensor, the depths and the seed of the noise. The last line printed is one JSON object.
+sensor, the depths and the seed of the noise. In `faults` the poses of each contact are off by
+0.2 mm and 0.5 degrees, the gel is 5 % stiffer than stated, and the light drifts by 6 %; stated are
+standard deviations of 0.2 mm, 0.5 degrees and 10 %. The last line printed is one JSON object.
 """
 
 import argparse
@@ -82,6 +84,7 @@ class Session:
         offset_mm: Of the sensor's axis from the middle of a side.
         depths_mm: How far the window is moved from first touch.
         seed: Of the noise of the camera.
+        faults: Whether poses, gel and light are not as stated.
     """
 
     ball: Ball
@@ -89,6 +92,7 @@ class Session:
     offset_mm: tuple[float, float] = (0.0, 0.0)
     depths_mm: tuple[float, float] = (0.5, 1.0)
     seed: int = 0
+    faults: bool = False
 
 
 SESSIONS = {
@@ -97,7 +101,11 @@ SESSIONS = {
     "soft": Session(Ball((5.5, 5.8, 6.3), 2.2, 0.07), 0.25, (-0.5, 0.3), (0.5, 1.0), 2),
     "small": Session(Ball((6.2, 6.0, 6.8), 1.5, 1.0), 0.15, (0.2, 0.7), (0.4, 0.9), 3),
     "central": Session(Ball((5.0, 5.0, 5.4), 2.2, 0.9), 0.3, (-0.3, -0.8), (0.5, 1.1), 4),
+    "faults": Session(Ball((6.0, 4.4, 6.6), 2.0, 1.0), seed=5, faults=True),
 }
+AGED, DRIFT = 1.05, 0.06  # modulus of the gel over the stated one, and change of the light
+OFF_MM, OFF_DEG = 0.2, 0.5  # of poses
+STATED = f"pose_mm={OFF_MM}", f"pose_deg={OFF_DEG}", "gel_deviation=0.1"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -145,7 +153,8 @@ def simulated(session: Session, turn: np.ndarray, rim_mm: float) -> list[Contact
     """Press the gel on the cube, turned so that a side is up."""
     center = turn @ (session.ball.center_mm - MIDDLE) + MIDDLE
     ball = Ball(tuple(center.tolist()), session.ball.radius_mm, session.ball.youngs_mpa)
-    box = PressedBox(SIDE, session.youngs_mpa, POISSON, ball, GEL, session.offset_mm)
+    gel = replace(GEL, youngs_mpa=AGED * GEL.youngs_mpa) if session.faults else GEL
+    box = PressedBox(SIDE, session.youngs_mpa, POISSON, ball, gel, session.offset_mm)
     return press_box(box, [np.array([0.0, 0.0, -depth]) for depth in session.depths_mm], rim_mm)
 
 
@@ -180,19 +189,31 @@ def draw_session(place: Path, session: Session, contacts: dict[str, list[Contact
     first = 10_000 * session.seed
     draw_calibration(place, first)
     poses = list[np.ndarray]()
+    rng = np.random.default_rng(first + 4)
     for name, turn in SIDES.items():
         pairs = list(zip(session.depths_mm, contacts[name], strict=True))
+        off = misplacement(rng) if session.faults else np.eye(4)
         for pair in (None, None, *pairs, None):
             number = len(poses)
+            light = 1.0 + session.faults * DRIFT * number / (len(SIDES) * (len(pairs) + 3))
             if pair is None:
-                image, depth = still(first + number), -APART
+                image, depth = still(first + number, light=light), -APART
             else:
                 depth = pair[0]
                 face = build_surface(SENSOR, *gel_face(pair[1], session, depth))
-                image = photographed(face, first + number)
+                image = photographed(face, first + number, light=light)
             save_image(image, place / "frames" / f"{number:03d}.png")
-            poses.append(pose_of(session, turn, depth))
+            poses.append(pose_of(session, turn, depth) @ off)
     write_poses(place, poses)
+
+
+def misplacement(rng: np.random.Generator) -> np.ndarray:
+    """Draw an error of the pose of a contact, in a random direction each for place and turn."""
+    move, axis = (one / np.linalg.norm(one) for one in rng.standard_normal((2, 3)))
+    off = np.eye(4)
+    off[:3, :3] = Rotation.from_rotvec(np.deg2rad(OFF_DEG) * axis).as_matrix()
+    off[:3, 3] = OFF_MM * move
+    return off
 
 
 def write_poses(place: Path, poses: Sequence[np.ndarray]) -> None:
@@ -218,12 +239,14 @@ def save_image(image: Image, path: Path) -> None:
     cv2.imwrite(str(path), image[..., ::-1])
 
 
-def photographed(face: GelSurface, seed: int, sensor: SensorDescription = SENSOR) -> Image:
+def photographed(
+    face: GelSurface, seed: int, sensor: SensorDescription = SENSOR, light: float = 1.0
+) -> Image:
     """Draw what the camera sees of a face: through the lens, with noise and 8 bits."""
     ideal = render(sensor, face, RenderOptions(noise=0.0)).astype(np.float32)
     columns, rows = lens_map(sensor)
     seen = cv2.remap(ideal, columns, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    noisy = seen + np.random.default_rng(seed).normal(0.0, NOISE, seen.shape)
+    noisy = light * seen + np.random.default_rng(seed).normal(0.0, NOISE, seen.shape)
     return np.clip(noisy.round(), 0, 255).astype(np.uint8)
 
 
@@ -242,10 +265,10 @@ def lens_map(sensor: SensorDescription = SENSOR) -> tuple[np.ndarray, np.ndarray
     return found[..., 0].astype(np.float32), found[..., 1].astype(np.float32)
 
 
-def still(seed: int, sensor: SensorDescription = SENSOR) -> Image:
+def still(seed: int, sensor: SensorDescription = SENSOR, light: float = 1.0) -> Image:
     """Draw the gel without contact."""
     flat = GelSurface(np.zeros(sensor.shape), sensor.to_px(sensor.markers.positions_mm))
-    return photographed(flat, seed, sensor)
+    return photographed(flat, seed, sensor, light)
 
 
 def ball_image(
@@ -290,7 +313,7 @@ def recorded(place: Path, session: Session) -> dict[tuple[str, float], Press]:
         f"frames={place}/frames", f"poses={place}/poses.csv", f"reference={place}/still.png",
         f"object.size_mm=[{SIDE},{SIDE},{SIDE}]", "object.edge_mm=1.25",
         f"steps={len(session.depths_mm)}", f"min_slope={MIN_SLOPE}", f"out={place}/recording.h5",
-        f"run_dir={place}/record",
+        f"run_dir={place}/record", *(STATED if session.faults else ()),
     )  # fmt: skip
     presses = Recording.load(place / "recording.h5").presses
     wanted = [(name, depth) for name in SIDES for depth in session.depths_mm]
