@@ -7,6 +7,7 @@ import pytest
 
 from tactorch.inverse import InverseProblem, Settings
 from tactorch.inverse.errors import MeasuredPresses
+from tactorch.inverse.errors.covariance import ErrorModel
 from tactorch.inverse.errors.stated import Stated
 from tactorch.inverse.invert import make_objective
 from tactorch.inverse.search import find_shapes
@@ -87,6 +88,25 @@ def test_residuals_are_as_large_as_the_errors_allow(recording: Recording) -> Non
     squares = [float(np.sum(d.whiten(evaluation.residuals) ** 2)) for d in (problem.data, data)]
     assert squares[1] < 40.0  # twenty numbers of unit deviation
     assert squares[0] > 100.0
+
+
+def test_their_response_is_kept_while_the_map_hardly_changes(
+    recording: Recording, moduli: np.ndarray
+) -> None:
+    problem = InverseProblem(with_errors(recording, np.zeros(10)))
+    errors = ErrorModel(MeasuredPresses(problem), [Stated()])
+
+    def after(youngs: np.ndarray) -> np.ndarray:
+        errors.linearise(problem.evaluate(youngs), "quadratic")
+        return errors.data({"stated": 1.0}).whiten(np.eye(len(problem.data.values))[:, 0])
+
+    first = after(moduli)
+    np.testing.assert_array_equal(after(1.04 * moduli), first)
+    changed = after(1.1 * moduli)
+    assert np.abs(changed - first).max() > 1e-6
+    # Changes add up: they are from the model that it was computed at.
+    np.testing.assert_array_equal(after(1.06 * moduli), changed)
+    assert np.abs(after(1.04 * moduli) - changed).max() > 1e-6
 
 
 def test_a_map_counts_them(recording: Recording) -> None:

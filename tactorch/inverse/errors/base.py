@@ -94,6 +94,7 @@ class ErrorSource(ABC):
         elements: Elements of the predictions about which a search linearises it: "linear", once,
             about the first model; "quadratic", about each model at which predictions are corrected;
             or none.
+        outlasts: Mean change of log-moduli below which a linearisation is kept.
         proposal: Description of a model with another deviation.
         note: What a deviation means for the result, and what to check.
         noted: Smallest deviation with a note.
@@ -103,6 +104,7 @@ class ErrorSource(ABC):
     name: str
     levels: ClassVar[tuple[float, ...]] = ()
     elements = proposal = note = ""
+    outlasts: ClassVar[float] = 0.0
     noted: ClassVar[float] = 1e-9
     smallest: ClassVar[float] = 0.0
     is_nonlinear: ClassVar[bool] = False  # whether it has `nonlinear_changes`

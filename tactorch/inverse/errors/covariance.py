@@ -28,13 +28,20 @@ class ErrorModel:
         self.least: Levels = {error.name: level for error, level in least.items() if level}
         self._data: dict[frozenset[tuple[str, float]], DataModel] = {}
         self._patterns = {e.name: e.patterns(presses) for e in self.errors if not e.elements}
+        self._about: dict[str, Float[np.ndarray, " m"]] = {}  # log-moduli of linearisations
 
     def linearise(self, evaluation: Evaluation, *elements: str) -> None:
         """Compute the changes of the data by errors that need predictions of these elements."""
         presses = replace(self.presses, linearised=evaluation)
+        youngs = evaluation.youngs.reshape(len(evaluation.youngs), -1)
+        log, volumes = np.log(youngs).mean(axis=1), presses.problem.recording.mesh.volumes
         for error in self.errors:
-            if error.elements in elements:
+            if error.elements not in elements:
+                continue
+            last = self._about.get(error.name)
+            if last is None or np.average(np.abs(log - last), weights=volumes) >= error.outlasts:
                 self._patterns[error.name] = error.patterns(presses)
+                self._about[error.name] = log
         self._data.clear()
 
     def lacks(self, levels: Levels) -> bool:
@@ -82,6 +89,7 @@ class ErrorModel:
         presses = replace(presses, problem=problem, corrections_mm=corrections_mm)
         other = ErrorModel(presses, self.errors)
         other._patterns = self._patterns | other._patterns
+        other._about = dict(self._about)
         return other
 
     def at_least(self, levels: Levels) -> Levels:
