@@ -2,8 +2,8 @@
 
     python benchmarks/sensor_bodies.py [--session NAME...] [--keep FOLDER] [--out FOLDER]
 
-A gel of 20 x 15 mm is pressed on four places of a body of 60 mm, to two depths each; in the first
-one the contact ends within the gel. A ball of five times the modulus is below one side of the
+A gel of 20 x 15 mm is pressed on four places of a body of 60 mm, to two depths each; at the first
+depth the contact ends within the gel. A ball of five times the modulus is below one side of the
 places. Images are drawn as in `sensor_chain.py`. The further input is these, the poses, and the
 descriptions of sensor and object, by the commands of tactorch:
 
@@ -14,8 +14,8 @@ descriptions of sensor and object, by the commands of tactorch:
 
 Presses are equilibria of gel and body (`tactorch.touch`) of quadratic elements. The mesh of the
 body follows the inclusion and is refined under each place, with nodes on the surfaces themselves,
-and the contact is that of the shape. The penalty of the contact, which costs 0.2 um, is that of the
-inversion. The last line printed is one JSON object.
+and the contact is that of the shape. The penalty of the contact, which changes markers by
+0.2 um, is that of the inversion. The last line printed is one JSON object.
 """
 
 import argparse
@@ -188,11 +188,13 @@ def run(session: BodySession, place: Path) -> dict[str, Any]:
         f"steps={len(session.depths_mm)}", f"min_slope={MIN_SLOPE}", f"out={place}/recording.h5",
         f"run_dir={place}/record",
     )  # fmt: skip
-    presses = Recording.load(place / "recording.h5").presses
+    presses, forces = Recording.load(place / "recording.h5").presses, json.loads(truth.read_text())
+    if len(presses) != len(forces["forces_n"]):
+        raise SystemExit(f"{len(presses)} presses were recorded, not {len(forces['forces_n'])}.")
     return {
         "calibration": quality,
         "forces_n": [float(press.total_force @ press.direction) for press in presses],
-        "true_forces_n": json.loads(truth.read_text())["forces_n"],
+        "true_forces_n": forces["forces_n"],
         "map": inverted(place, session),
         "by_forces": inverted(place, session, gels=False),
     }  # fmt: skip

@@ -195,7 +195,7 @@ def draw_session(place: Path, session: Session, contacts: dict[str, list[Contact
         off = misplacement(rng) if session.faults else np.eye(4)
         for pair in (None, None, *pairs, None):
             number = len(poses)
-            light = 1.0 + session.faults * DRIFT * number / (len(SIDES) * (len(pairs) + 3))
+            light = 1.0 + session.faults * DRIFT * number / (len(SIDES) * (len(pairs) + 3) - 1)
             if pair is None:
                 image, depth = still(first + number, light=light), -APART
             else:
@@ -208,7 +208,7 @@ def draw_session(place: Path, session: Session, contacts: dict[str, list[Contact
 
 
 def misplacement(rng: np.random.Generator) -> np.ndarray:
-    """Draw an error of the pose of a contact, in a random direction each for place and turn."""
+    """Draw an error of the pose of a contact: position and rotation in random directions."""
     move, axis = (one / np.linalg.norm(one) for one in rng.standard_normal((2, 3)))
     off = np.eye(4)
     off[:3, :3] = Rotation.from_rotvec(np.deg2rad(OFF_DEG) * axis).as_matrix()
@@ -288,8 +288,9 @@ def ball_image(
 def tactorch(*arguments: str) -> None:
     """Run a command as a user does."""
     done = subprocess.run(
-        [sys.executable, "-m", "tactorch", *arguments], capture_output=True, text=True, check=False
-    )
+        [sys.executable, "-m", "tactorch", *arguments, "overwrite=true"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
     if done.returncode:
         raise SystemExit(f"tactorch {' '.join(arguments)}:\n{done.stdout}\n{done.stderr}")
 

@@ -264,7 +264,8 @@ class Sensitivity:
         """
         if len(loads) <= self.selection.shape[0]:
             moved = self.linearization.force_response(loads, rtol)
-            return np.reshape([self.observe(u) for u in moved], (len(loads), -1)).T
+            data = [self.observe(u) for u in moved]
+            return np.reshape(data, (len(loads), self.selection.shape[0])).T
         fields = self.linearization.solve(self.selection.T.toarray(order="F"), rtol)
         return np.asarray(fields.T @ loads.reshape(len(loads), -1).T)
 

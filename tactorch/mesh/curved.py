@@ -1,9 +1,10 @@
 """The curved surface through the nodes of a mesh. Lengths in mm.
 
 Triangles are chords of a curved body: with edges of 4 mm on a ball of 30 mm they are up to 0.14 mm
-inside it, and the curved surface 0.02 mm. Sides of triangles are parabolas, normal to the
-normals at both ends (T. Nagata, "Simple local interpolation of surfaces using normal vectors",
-Comput. Aided Geom. Des. 22 (2005), 327-347), except across sharp edges.
+inside it, and the curved surface 0.01 mm. Sides of triangles are parabolas, perpendicular to the
+normals at both ends where these are symmetric (simplified from T. Nagata, "Simple local
+interpolation of surfaces using normal vectors", Comput. Aided Geom. Des. 22 (2005), 327-347).
+Normals are not averaged across sharp edges.
 """
 
 import numpy as np
@@ -11,8 +12,9 @@ import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 from tactorch.mesh.geometry import area_vectors, unit_rows
-from tactorch.mesh.sharp_edges import SHARP
 from tactorch.mesh.values import Points, Triangles
+
+_SHARP = np.cos(np.deg2rad(40.0))  # cosine of the angle between normals at a sharp edge
 
 
 def curved_offsets(
@@ -52,6 +54,6 @@ def _corner_normals(points: Points, triangles: Triangles) -> Float[np.ndarray, "
     count = triangles.size
     at = sp.csr_matrix((np.ones(count), (triangles.ravel(), np.arange(count))))
     own, other = (at.T @ at).nonzero()
-    smooth = (normals[own // 3] * normals[other // 3]).sum(axis=1) > SHARP
+    smooth = (normals[own // 3] * normals[other // 3]).sum(axis=1) > _SHARP
     weights = sp.csr_matrix((angles[other[smooth]], (own[smooth], other[smooth] // 3)))
     return unit_rows(weights @ normals).reshape(-1, 3, 3)

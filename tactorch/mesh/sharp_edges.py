@@ -10,8 +10,7 @@ from tactorch.mesh.tetmesh import TetMesh
 from tactorch.mesh.topology import matched_edges, triangle_edges
 from tactorch.mesh.values import Triangles
 
-#: Cosine of the angle between the normals at a sharp edge.
-SHARP = 0.7
+_SHARP = 0.7  # cosine of the angle between the normals at a sharp edge
 _POINTS = 9  # on an edge, from which distances are measured
 
 
@@ -31,7 +30,7 @@ def distance_from_sharp_edges(
 
     It is infinite where there are none.
     """
-    ends = mesh.points[sharp_edges(mesh.surface.triangles, mesh.surface.normals, SHARP)]
+    ends = mesh.points[sharp_edges(mesh.surface.triangles, mesh.surface.normals, _SHARP)]
     parts = np.linspace(0.0, 1.0, _POINTS)[:, None, None]
     tree = cKDTree(((1.0 - parts) * ends[:, 0] + parts * ends[:, 1]).reshape(-1, 3))
     return lambda points: np.asarray(tree.query(points)[0])

@@ -1,8 +1,9 @@
 """Presses on the object from contacts of the gel (Section III-A, and the end of Section VI-B).
 
 Without slip, a point of the gel stays with the point of the object that it touched first. Points
-are paired in the pose of first contact; afterwards the object's point moves with the gel's.
-Transferred forces keep their sum and their moment on any pair of meshes.
+are paired in the pose of first contact, along the sensor's axis; the object's point moves with the
+gel's after the gel has moved by their gap, which a curved object has. Transferred forces keep their
+sum and their moment on any pair of meshes.
 
 Where the gel's contact is known along z only (depth alone), the press has forces along the sensor's
 axis and displacements along it, as readings of the surface: no component across it is observed. The
@@ -75,6 +76,7 @@ def build_press(
     in_contact: Flags,
     *,
     options: ContactOptions | None = None,
+    apart_mm: float | None = 0.0,
     **fields: Any,
 ) -> Press:
     """Return the press of the sensor on an object.
@@ -86,6 +88,8 @@ def build_press(
         mesh: Object at rest, mm.
         in_contact: Nodes of the gel's face in contact; forces on other nodes are ignored.
         options: Pairing of the gel with the object.
+        apart_mm: Distance of gel and object in the first pose by an error of it, in which they
+            touch. None where the shape of the object is not known: there are no gaps then.
         fields: Further fields of the press: its supports (`springs`, `fixed`, `prescribed`),
             `noise_mm`, `step`, `name`.
 
@@ -112,8 +116,8 @@ def build_press(
     known = np.column_stack([motion, contact.points[:, 2]])
     found = interpolate_displacements(paired, known, points, normal, options.smoothing)
     at_rest = transform_points(np.linalg.inv(first_pose), points)
-    # The gel moves by the gap of its face from a curved object before it takes a point with it.
-    interpolated = found[:, :3] - (at_rest[:, 2] - found[:, 3])[:, None] * normal
+    gaps = np.zeros(len(points)) if apart_mm is None else at_rest[:, 2] - found[:, 3] - apart_mm
+    interpolated = found[:, :3] - gaps[:, None] * normal
     inside = np.isfinite(interpolated).all(axis=1)
     touched = _interpolate_flags(contact.points, in_contact, at_rest)
     displacement = np.full(mesh.points.shape, np.nan)

@@ -21,8 +21,8 @@ from tactorch.touch.pairing import Facing
 
 _REACH = 2.0  # distance of pairs that may touch, over the depth
 _FIRST_RTOL = 1e-3  # of the forces without friction
-# Pairs of a first guess: those whose gap is less than this share of the depth. A gel that is much
-# softer than a round body touches all, and one that is much thicker than the contact half of it.
+# Pairs of a first guess: those whose gap is less than this share of the depth. Contacts extend to
+# gaps of half the depth (Hertz), and of all of it under a thin gel.
 _TOUCHED, _GUESS_RTOL = 0.6, 0.02
 
 
@@ -194,13 +194,16 @@ class Coupled:
         contact: PairContact,
         youngs: Float[np.ndarray, "m2 q"],
         start: Float[np.ndarray, "nodes 3"] | None,
-    ) -> tuple[Newton, Float[np.ndarray, "nodes 3"]]:
+    ) -> tuple[Newton | None, Float[np.ndarray, "nodes 3"] | None]:
         """Return a search and displacements near the equilibrium, in which fewer pairs touch.
 
-        From a contact that is too large, each iteration releases a ring of pairs only.
+        From a contact that is too large, each iteration releases a ring of pairs only. They are
+        None and `start` where the contact is flat.
         """
         pairs, depth = contact.pairs, float(contact.motion_mm[2])
         far = pairs.gaps_mm > _TOUCHED * depth
+        if depth <= 0.0 or not far.any():
+            return None, start
         pairs = replace(pairs, gaps_mm=np.where(far, pairs.gaps_mm + _REACH * depth, pairs.gaps_mm))
         newton = self._search(replace(contact, pairs=pairs), youngs, _GUESS_RTOL)
         return newton, newton.run(start).displacement

@@ -4,8 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
+from scipy.spatial.transform import Rotation
 
-from tactorch.mesh import BodyFile, Box, Hemisphere, Shape, write_surface
+from tactorch.mesh import BodyFile, Box, Hemisphere, Shape, Sphere, TetMesh, write_surface
+from tactorch.sensor.poses import transform_points
 from tactorch.touch.rays import first_hits, surface_heights
 
 FROM_ABOVE = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -52,3 +55,22 @@ def test_bodies_of_files_are_their_triangles(tmp_path: Path) -> None:
     found = surface_heights(BodyFile(str(path)), FROM_ABOVE, rays)
     assert (found >= exact - 1e-5).all()  # the polyhedron is inside the hemisphere
     np.testing.assert_allclose(found, exact, atol=0.1)
+
+
+def test_surface_of_a_mesh_is_curved_between_its_nodes() -> None:
+    """A ball of few nodes, seen from any side: its triangles are up to 0.3 mm inside it."""
+    count = np.arange(300) + 0.5
+    polar, turn = np.arccos(1.0 - count / 150.0), np.pi * (1.0 + 5.0**0.5) * count
+    ring = np.column_stack([np.cos(turn), np.sin(turn)]) * np.sin(polar)[:, None]
+    nodes = np.concatenate([30.0 * np.column_stack([ring, np.cos(polar)]), np.zeros((1, 3))])
+    mesh = TetMesh.create(nodes, Delaunay(nodes).simplices)
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("xyz", (160.0, 25.0, 40.0), degrees=True).as_matrix()
+    pose[:3, 3] = -40.0 * pose[:3, 2]
+    rays = np.random.default_rng(0).uniform(-8.0, 8.0, (400, 2))
+    exact = surface_heights(Sphere((0.0, 0.0, 0.0), 30.0), pose, rays)
+    points = transform_points(np.linalg.inv(pose), mesh.points)
+    flat = first_hits(points, mesh.surface.triangles, rays).z_mm - exact
+    curved = surface_heights(mesh, pose, rays) - exact
+    assert flat.max() > 0.25
+    assert np.abs(curved).max() < 0.1 * flat.max()

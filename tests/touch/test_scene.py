@@ -175,3 +175,11 @@ def test_gel_knows_how_far_it_moves_a_curved_body(make_scene: Make, above: np.nd
     assert gaps[within].max() > 0.3
     truth = press.displacement[: scene.mesh.n_points][within]
     np.testing.assert_allclose(found.displacement[within], truth, atol=0.03)
+    # Poses that are too far away by 0.1 mm, and an object whose shape is not known.
+    fixed = [
+        build_press(gel, press.pose, press.first_pose, scene.mesh, loaded, apart_mm=apart)
+        for apart in (0.1, None)
+    ]
+    moved = [one.displacement[within, 2] - found.displacement[within, 2] for one in fixed]
+    np.testing.assert_allclose(moved[0], -0.1, atol=1e-9)
+    np.testing.assert_allclose(moved[1], -gaps[within], atol=1e-6)

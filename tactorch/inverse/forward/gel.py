@@ -139,7 +139,8 @@ class GelProblem(InverseProblem):
         layers: The same through the gel.
         gel_sizing: Longest edges (mm) of the gel's elements at points (mm) in the frame of the
             sensor, for each contact.
-        surface: Mesh with the surface of the object, where that of the recording is a refined one.
+        surface: Mesh before a refinement, which adds nodes on its flat triangles; by default that
+            of the recording.
 
     Attributes:
         data: Displacements of the markers, and the statistics of their errors.
@@ -230,9 +231,11 @@ class GelProblem(InverseProblem):
         starts = list[NodalField | None]()
         for i, number in enumerate(numbers):
             state, contact = evaluation._presses[number].state, self._touched[self.contact_of[i]]
-            same = len(state.contact.sticking) == len(contact.coupled.contact.sticking)
-            if same:
+            own = contact.coupled.contact.pairs
+            # Those that may touch depend on the deepest press of a contact.
+            if np.array_equal(state.contact.pairs.points, own.points):
                 self._sticking[i] = state.contact.sticking
+            same = len(state.displacement) == own.discretisation.n_nodes
             starts.append(state.displacement if same else None)
         return starts
 

@@ -142,8 +142,10 @@ def _fitted(
     recording, numbers = within_contacts(recording, rims, _MARGIN)
     go_on()
     problem = GelProblem(recording, typical)
+    starts = problem.take_over(first, numbers)
+    del first  # whose factorisations take gigabytes
     correction = _Correction(recording, typical, sizings, on_object, tuple(field.shapes(z)))
-    evaluation: Evaluation = problem.evaluate(youngs, starts=problem.take_over(first, numbers))
+    evaluation: Evaluation = problem.evaluate(youngs, starts=starts)
     search = _Search(problem, sites, check)
     for tolerance in (ROUGH, FINE):
         go_on()

@@ -1,6 +1,8 @@
 """Presses from the frames of a contact, and the pose of the sensor at first contact.
 
-Gel and object move together from this pose on, so its error adds to the object's displacements.
+On an object of known shape, points of the object move with the gel from where it meets them by the
+poses. Otherwise gel and object move together from the first pose on, whose error adds to the
+object's displacements.
 """
 
 import logging
@@ -134,7 +136,7 @@ class PressBuilder:
             center_mm = self.chain.model.points[deepest.in_contact, :2].mean(axis=0)
             self.mesh = self.target.mesh_under(first_pose, center_mm)
         assert self.mesh is not None
-        step, outline = 0, self._outline(first_pose)
+        step, outline, apart_mm = 0, self._outline(first_pose), self._apart_mm(first_pose)
         for index in contact.select_frames(self.options.steps):
             measurement, pose = contact.measurements[index], poses.at([times_s[index]])[0]
             name = measurement.frame.name
@@ -146,7 +148,7 @@ class PressBuilder:
                     in_contact = forces.in_contact
                 press = build_press(
                     forces, pose, first_pose, self.mesh, in_contact,
-                    options=self.options, step=step,
+                    options=self.options, step=step, apart_mm=apart_mm,
                     noise_mm=self._noise_mm(
                         forces, measured_noise_mm, measurement.light_error_mm
                     ),
@@ -162,6 +164,15 @@ class PressBuilder:
             else:
                 step += 1
                 yield measurement, press
+
+    def _apart_mm(self, first_pose: Pose) -> float | None:
+        """Return the distance of gel and object in the pose of first contact, see `build_press`."""
+        if not isinstance(self.target, TetMesh):
+            return None
+        gap = axial_gap(first_pose, *sample_surface(self.target), self.chain.sensor.gel)
+        if not np.isfinite(gap):
+            return 0.0
+        return gap if self.options.first_contact == "depth" else max(gap, 0.0)
 
     def _noise_mm(
         self, forces: GelContact, measured_mm: float | None, light_error_mm: float
