@@ -55,7 +55,8 @@ from tactorch.inverse.search.sizing import (
 )
 from tactorch.mesh import Ellipsoid, Rotated, box_mesh, face_nodes
 from tactorch.phantoms import make_phantom
-from tactorch.recording import refine_recording
+from tactorch.recording import GelReading, refine_recording
+from tactorch.sensor.description import GelLayer
 from tactorch.simulation import PressPlan, simulate
 
 MESH = box_mesh(10.0, 4, tets_per_cell=5)
@@ -394,6 +395,24 @@ def test_a_ball_is_found_with_its_modulus(found):
     again = ShapeReconstruction.of(json.loads(json.dumps(result.plain())))
     assert again.inclusions == result.inclusions
     assert again.plain() == result.plain()
+
+
+def test_a_sensor_that_is_not_fitted_leaves_the_whole_posterior(recording, found, caplog):
+    """Not all presses have markers of a gel."""
+    layer, still = GelLayer(4.0, 0.12, 0.45, size_mm=(16.0, 16.0)), np.zeros((9, 2))
+    gel = GelReading(
+        layer.numbers, np.eye(4), np.eye(4), still + np.arange(9)[:, None], still,
+        np.full(9, 1e-3), np.array([0.03, 0.01, 1e-3]),
+    )  # fmt: skip
+    first, *others = recording.presses
+    some = replace(recording, presses=(replace(first, gel=gel), *others))
+    result = find_shapes(some, max_shapes=2)
+    assert "have no markers of a gel" in caplog.text
+    assert [entry["model"] for entry in result.history] == [e["model"] for e in found.history]
+    assert len(result.posterior.ridges) == len(found.posterior.ridges)
+    (inclusion,), (expected,) = result.inclusions, found.inclusions
+    assert inclusion.youngs_90_mpa.low == pytest.approx(expected.youngs_90_mpa.low, rel=0.02)
+    assert inclusion.youngs_90_mpa.high == pytest.approx(expected.youngs_90_mpa.high, rel=0.02)
 
 
 def test_a_search_continues_from_the_model_of_other_presses(recording, found):

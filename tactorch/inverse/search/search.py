@@ -120,11 +120,27 @@ def find_shapes(
             problem = ShapeProblem(refined, settings, limit, kept, max_shapes)
             if start is None:
                 _log_provisional(problem)
-        model, result = search(problem, limit, start, update, path)
-        if not result.ended:
+        has_gels = any(press.gel is not None for press in recording.presses)
+        model, result = search(problem, limit, start, update, path, brief=has_gels)
+        if has_gels and not result.ended:
             update("gel and object")
             model, result = _through_gel(problem, limit, model, result, recording)
+        if has_gels and not result.through_gel and result.ended is not StopReason.INTERRUPTED:
+            update("posterior")
+            model, result = _with_posterior(problem, model, result)
         return replace(result, predictions=Predictions.of(model.evaluation, recording))
+
+
+def _with_posterior(
+    problem: SearchProblem, model: Model, result: ShapeReconstruction
+) -> tuple[Model, ShapeReconstruction]:
+    """Return the last model of a brief search and its result with the full posterior."""
+    best, posterior = problem.posterior(model)
+    history = list(result.history[:-1])  # without the final fit
+    if best is not model:
+        history.append(record("balls as ellipsoids", best.fit))
+    kept = {name: getattr(result, name) for name in ("ended", "untried", "alternatives")}
+    return best, replace(_result(problem, best, posterior, history), **kept)
 
 
 def _through_gel(
@@ -209,9 +225,12 @@ def search(
     start: ShapeReconstruction | Start | None = None,
     update: Callable[[str], None] = lambda what: None,
     before: _Path | None = None,
+    *,
+    brief: bool = False,
 ) -> tuple[Model, ShapeReconstruction]:
     """Accept models of more evidence until there is none; return the last one, and the result.
 
+    The posterior of a `brief` search is linearised at the model, as another one will replace it.
     `update` is called with what is done next. The search starts from the model of the one `before`,
     on a part of the presses, or from `start`, see `find_shapes`.
     """
@@ -235,7 +254,9 @@ def search(
         model = _final(problem, model)
         path.state = _state(model)
         update("posterior")
-        best, posterior = problem.posterior(model)
+        best, posterior = model, make_posterior(model, problem.sites)
+        if not brief:
+            best, posterior = problem.posterior(model)
         if best is not model:
             path.history.append(record("balls as ellipsoids", best.fit))
         result = _result(problem, best, posterior, path.history)
