@@ -66,3 +66,10 @@ def test_a_ball_is_found_from_images_alone(
     assert found["map"]["off_mm"] < 0.7
     assert np.hypot(*found["map"]["off_axes_mm"][:2]) < 0.5
     assert found["map"]["within"]
+
+
+def test_wrong_poses_are_off_by_what_is_stated(benchmark: ModuleType) -> None:
+    off = benchmark.misplacement(np.random.default_rng(0))
+    assert np.linalg.norm(off[:3, 3]) == pytest.approx(benchmark.OFF_MM)
+    turn = np.arccos((np.trace(off[:3, :3]) - 1.0) / 2.0)
+    assert np.rad2deg(turn) == pytest.approx(benchmark.OFF_DEG)
