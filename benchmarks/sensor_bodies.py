@@ -59,9 +59,10 @@ from tactorch.touch.scene import GelPress, TouchScene
 
 Vector = tuple[float, float, float]
 # Edge lengths of the body, mm: far away, under the gel, and at the ball; and their growth with the
-# distance from both.
-COARSE, UNDER_GEL, AT_BALL, GROWTH = 4.5, 1.3, 1.8, 0.45
-GEL_EDGE, GEL_LAYERS = 1.2, 4  # of the gel's cells, mm, and their number through it
+# distance from both. With 0.95 mm under the gel, and 0.9 mm and 5 layers in it, markers of the
+# hemisphere differ by 0.3 um; with 1.3, and 1.2 and 4, by 0.7 um.
+COARSE, UNDER_GEL, AT_BALL, GROWTH = 4.5, 0.7, 1.4, 0.35
+GEL_EDGE, GEL_LAYERS = 0.7, 6  # of the gel's cells, mm, and their number through it
 SMALL = replace(
     SENSOR, name="small", image_size_px=(400, 300), raw_size_px=(480, 370),
     gel=GelLayer(4.0, 0.12, POISSON, size_mm=(20.0, 15.0)),
