@@ -1,7 +1,7 @@
 """The curved surface through the nodes of a mesh. Lengths in mm.
 
 Triangles are chords of a curved body: with edges of 4 mm on a ball of 30 mm they are up to 0.14 mm
-inside it, and the curved surface 0.01 mm. Sides of triangles are parabolas, perpendicular to the
+inside it, and the curved surface 0.02 mm. Sides of triangles are parabolas, perpendicular to the
 normals at both ends where these are symmetric (simplified from T. Nagata, "Simple local
 interpolation of surfaces using normal vectors", Comput. Aided Geom. Des. 22 (2005), 327-347).
 Normals are not averaged across sharp edges.
