@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from tactorch.errors import ConfigError
 
 _AXES = "xyz"
-_LENGTHS = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3}
+LENGTHS = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3}
 _AREAS = {"mm2": 1.0, "cm2": 100.0, "m2": 1e6}
-_FORCES = {"n": 1.0, "mn": 1e-3, "kn": 1e3}
+FORCES = {"n": 1.0, "mn": 1e-3, "kn": 1e3}
 _STRESSES = {"mpa": 1.0, "kpa": 1e-3, "pa": 1e-6}
 _STIFFNESSES = {"n_per_mm": 1.0, "n_per_m": 1e-3}
 _NONE: dict[str, float] = {}
@@ -21,24 +21,24 @@ UNITS: dict[str, dict[str, float]] = {
     "press": _NONE,
     "step": _NONE,
     "node": _NONE,
-    **{axis: _LENGTHS for axis in _AXES},
-    **{f"u{axis}": _LENGTHS for axis in _AXES},
-    "u_n": _LENGTHS,
+    **{axis: LENGTHS for axis in _AXES},
+    **{f"u{axis}": LENGTHS for axis in _AXES},
+    "u_n": LENGTHS,
     **{f"n{axis}": _NONE for axis in _AXES},
-    **{f"f{axis}": _FORCES for axis in _AXES},
+    **{f"f{axis}": FORCES for axis in _AXES},
     **{f"t{axis}": _STRESSES for axis in _AXES},
     "p": _STRESSES,
     "area": _AREAS,
-    "noise": _LENGTHS,
+    "noise": LENGTHS,
     **{f"fixed_{axis}": _NONE for axis in _AXES},
     **{f"spring_{axis}": _STIFFNESSES for axis in _AXES},
 }
 #: The same of a palpation.
 PALPATION_UNITS: dict[str, dict[str, float]] = {
     "probe": _NONE,
-    **{axis: _LENGTHS for axis in _AXES},
-    **{f"f{axis}": _FORCES for axis in _AXES},
-    **{f"contact_{axis}": _LENGTHS for axis in _AXES},
+    **{axis: LENGTHS for axis in _AXES},
+    **{f"f{axis}": FORCES for axis in _AXES},
+    **{f"contact_{axis}": LENGTHS for axis in _AXES},
     **{f"normal_{axis}": _NONE for axis in _AXES},
 }
 #: Suffixes that state a unit.

@@ -53,10 +53,11 @@ class Press:
         direction: Unit vector of the push, (3,), or None.
         name: Name of the press in messages and reports.
         probe: Rigid probe at a prescribed pose, or None.
-        force: Measured force on the probe or on the support that is moved, or None.
+        force: Measured force on the probe, on the gel, or on the support that is moved, or None.
         surface: Measured displacements along directions at points of the surface, or None.
         errors: Correlated errors of `forces` and `displacement`, besides the noise, or None.
-        gel: Gel of a sensor from whose markers `forces` and `displacement` are computed, or None.
+        gel: Gel of a sensor from whose markers `forces` and `displacement` are computed, or on
+            which `force` is measured, or None.
 
     Raises:
         RecordingError: A field is inconsistent with the others; the message names press and field.
@@ -180,12 +181,12 @@ class Press:
 
     @property
     def total_force(self) -> Float[np.ndarray, "3"]:
-        """Sum of the nodal forces, (3,), N; of a probe the measured force on the object.
+        """Sum of the nodal forces, (3,), N; of a probe or gel the measured force on the object.
 
         Components that were not measured are zero.
         """
         total = self.forces.sum(axis=0)
-        if self.probe is None or self.force is None:
+        if (self.probe is None and self.gel is None) or self.force is None:
             return total
         axes = self.force.axes[:, :3]
         return total - np.linalg.lstsq(axes, self.force.values, rcond=None)[0]
@@ -230,7 +231,8 @@ class Press:
 
     @property
     def _kind(self) -> tuple[bool, ...]:
-        return self.has_readings, self.probe is None, self.force is None
+        without = (getattr(self, name) is None for name in ("probe", "force", "gel"))
+        return self.has_readings, *without
 
     @property
     def _shareable(self) -> list[np.ndarray]:
@@ -246,15 +248,14 @@ class Press:
         return same and all(a() is b for a, b in zip(last, fields, strict=True))
 
     def _check_observed(self) -> None:
-        if (
-            self.force is not None
-            and self.probe is None
-            and not np.nan_to_num(self.prescribed).any()
-        ):
+        moves = self.probe is not None or self.gel is not None
+        if self.force is not None and not moves and not np.nan_to_num(self.prescribed).any():
             raise self._error(
                 "force is measured, but there is no probe and no support is moved; give 'probe' or"
                 " 'prescribed'"
             )
+        if self.gel is not None and self.force is None and not len(self.gel.markers_mm):
+            raise self._error("the gel has no markers and no force is measured; give one of both")
         if self.has_readings:
             return
         if not self.observed.any():

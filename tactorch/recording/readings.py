@@ -205,7 +205,8 @@ class GelReading:
     """A gel that is pressed on the object, and what its markers show.
 
     Vectors and positions are in the frame of the sensor, whose origin is the centre of the gel's
-    face at rest and whose z axis points to the object.
+    face at rest and whose z axis points to the object. In a grasp an equal gel is on the other side
+    of the object, which is free between them.
 
     Attributes:
         layer: Thickness (mm), Young's modulus (MPa), Poisson's ratio, width and height of a
@@ -214,11 +215,16 @@ class GelReading:
         pose: T_object_sensor in this press, (4, 4), mm.
         first_pose: T_object_sensor at first contact, from which points of gel and object that
             touch do not slip, (4, 4), mm.
-        markers_mm: Rest positions of the markers, (k, 2), mm.
+        markers_mm: Rest positions of the markers, (k, 2), mm; none where the force of the press is
+            measured.
         displacement_mm: Their displacements along x and y, (k, 2), mm.
         deviations_mm: Standard deviations of these, (k,), mm.
         uncertain: Standard deviations of errors that presses have in common: of the logarithm of
             the gel's modulus, and of position (mm) and turn (rad) of the pose of a contact.
+        opposed: Distance of the faces of both gels of a grasp at first contact, mm, and how much
+            farther apart they are in the press for each unit of the logarithm of the gels' modulus
+            where a calibration depends on it, mm; NaN where there is one gel. Both move by as much
+            from first contact.
 
     Raises:
         RecordingError: Shapes differ, a value is not finite, or a deviation is negative.
@@ -231,20 +237,29 @@ class GelReading:
     displacement_mm: Float[np.ndarray, "k 2"]
     deviations_mm: Float[np.ndarray, " k"]
     uncertain: Float[np.ndarray, "3"]
+    opposed: Float[np.ndarray, "2"] = field(default_factory=lambda: np.full(2, np.nan))
 
     def __post_init__(self) -> None:
         count = len(np.atleast_1d(self.markers_mm))
-        shapes = {"markers_mm": (count, 2), "displacement_mm": (count, 2)}
-        shapes |= {"pose": (4, 4), "first_pose": (4, 4)}
-        _set(self, "gel", **shapes, deviations_mm=(count,), uncertain=(3,))
+        if count:
+            shapes = {"markers_mm": (count, 2), "displacement_mm": (count, 2)}
+            _set(self, "gel", **shapes, deviations_mm=(count,))
+        _set(self, "gel", pose=(4, 4), first_pose=(4, 4), uncertain=(3,))
         _require_deviations(self.deviations_mm, "gel")
-        object.__setattr__(self, "layer", make_array(self.layer, (7,), "gel: layer"))
+        for name, length in (("layer", 7), ("opposed", 2)):
+            array = make_array(getattr(self, name), (length,), f"gel: {name}")
+            object.__setattr__(self, name, array)
         require_finite(self.layer[:3], "gel: thickness, Young's modulus and Poisson's ratio")
         if (self.uncertain < 0.0).any():
             raise RecordingError(
                 f"gel: uncertain has {self.uncertain.min():g}; give standard deviations of at "
                 "least 0"
             )
+
+    @property
+    def is_grasp(self) -> bool:
+        """Whether a second gel is on the other side of the object."""
+        return bool(np.isfinite(self.opposed[0]))
 
 
 def _set(reading: object, what: str, **shapes: tuple[int, ...]) -> None:

@@ -242,7 +242,8 @@ class Recording(Displayed):
         weight = bool(self.density) and bool(self.gravity.any())
         motions: dict[bytes, str | None] = {}
         for press in distinct(self.presses):
-            moved = press.probe is not None or press.prescribed.any()
+            by_gel = press.gel is not None and press.force is not None
+            moved = press.probe is not None or by_gel or press.prescribed.any()
             if not (weight or press.forces.any() or moved):
                 raise RecordingError(
                     f"{press.label}: forces are all 0, nothing is prescribed and there is no "

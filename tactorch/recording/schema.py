@@ -1,6 +1,6 @@
 """Layout of the file of a recording: HDF5.
 
-Versions 2 to 15 (n nodes, m elements; arrays row by row, gzip with checksums; text is UTF-8 of
+Versions 2 to 17 (n nodes, m elements; arrays row by row, gzip with checksums; text is UTF-8 of
 fixed length; the structure is that of HDF5 1.10, with checksums):
 
 | path | type | unit |
@@ -46,6 +46,7 @@ fixed length; the structure is that of HDF5 1.10, with checksums):
 | /presses/0000/gel/markers_mm, displacement_mm | float64 (k, 2) | mm |
 | /presses/0000/gel/deviations_mm | float64 (k,) | mm |
 | /presses/0000/gel/uncertain | float64 (3,) | , mm, rad |
+| /presses/0000/gel/opposed | float64 (2,), may be absent | mm |
 
 With a probe, nodal fields that are zero, or NaN, throughout are absent.
 
@@ -62,12 +63,12 @@ other arrays have a further first axis of length k. In place of attributes there
 
 Links, external storage and virtual datasets are refused: they lead to other files.
 
-In versions 7, 9, 11, 13 and 15 presses follow the end of the HDF5 part, as its superblock states
-it. HDF5 ignores them, and drops them when it opens the file for writing. Each is a record of 60
-bytes (the text `TACPRESS`; number of the press, uint64; length of the image, uint64; SHA-256 of the
-image; CRC-32 of the 56 bytes before; little-endian) and an image: an HDF5 file whose root is a
+In versions 7, 9, 11, 13, 15 and 17 presses follow the end of the HDF5 part, as its superblock
+states it. HDF5 ignores them, and drops them when it opens the file for writing. Each is a record of
+60 bytes (the text `TACPRESS`; number of the press, uint64; length of the image, uint64; SHA-256 of
+the image; CRC-32 of the 56 bytes before; little-endian) and an image: an HDF5 file whose root is a
 group as /presses/0000. An incomplete last record is ignored. `tactorch.recording.compact` makes
-version 6, 8, 10, 12 or 14 of such a file.
+version 6, 8, 10, 12, 14 or 16 of such a file.
 
 A reader refuses a version above its own. A change of the layout raises `VERSION`;
 `tactorch.recording.storage` reads all versions. Version 1 had no `unloaded`; versions 2 and 3 were
@@ -76,15 +77,16 @@ and probes had no `deviation_mm`; versions 6 and 7 have no `regions`, and are wr
 without regions, so that tactorch before version 8 reads them; versions 8 and 9 have no `errors`,
 and are written where no press has them; before version 12 each press had a separate group, as it
 has where the nodal fields differ; versions 12 and 13 have no `gel`, and are written where no press
-has one.
+has one; versions 14 and 15 have no `opposed`, and are written where no press is a grasp.
 """
 
 FORMAT = "tactorch-recording"
-VERSION = 15
-GROWING_VERSIONS = (3, 5, 7, 9, 11, 13, 15)
+VERSION = 17
+GROWING_VERSIONS = (3, 5, 7, 9, 11, 13, 15, 17)
 ERRORS_VERSION = 10  # the first with `errors`
 STACKED_VERSION = 12  # the first with several presses in a group
 GEL_VERSION = 14  # the first with `gel`
+GRASP_VERSION = 16  # the first with an opposed gel
 UNITS = "mm, N, MPa, tonne/mm^3"
 #: Nodal fields with the value they have throughout where a press by a probe does not store them.
 PRESS_ARRAYS: dict[str, float | bool] = {
@@ -119,7 +121,10 @@ PRESS_VALUES: dict[str, tuple[int | None, ...]] = {
     "gel/displacement_mm": (None, 2),
     "gel/deviations_mm": (None,),
     "gel/uncertain": (3,),
+    "gel/opposed": (2,),
 }
+#: Those that may be absent where their group is present.
+OPTIONAL_VALUES = ("gel/opposed",)
 
 
 def written_version(*, regions: bool, least: int = 0, growing: bool = False) -> int:

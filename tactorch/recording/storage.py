@@ -241,7 +241,8 @@ def _read_arrays(reader: Hdf5Reader, path: str, lead: tuple[int, ...] = ()) -> d
     found = {}
     for name, shape in schema.PRESS_VALUES.items():
         first, _, key = name.rpartition("/")
-        if reader.has(f"{path}/{first or key}"):
+        least = name if name in schema.OPTIONAL_VALUES else first or key
+        if reader.has(f"{path}/{least}"):
             kind = "i" if key == "nodes" else "f"
             found[name] = frozen(reader.array(f"{path}/{name}", kind, (*lead, *shape)))
     return found
@@ -333,7 +334,7 @@ def _groups(presses: Sequence[Press]) -> list[list[Press]]:
 def least_version(press: Press) -> int:
     """Return the lowest version of a file whose readers know the content of a press."""
     if press.gel is not None:
-        return schema.GEL_VERSION
+        return schema.GRASP_VERSION if press.gel.is_grasp else schema.GEL_VERSION
     return 0 if press.errors is None else schema.ERRORS_VERSION
 
 
@@ -386,8 +387,10 @@ def _arrays(press: Press) -> dict[str, np.ndarray]:
     found = {}
     for name in schema.PRESS_VALUES:
         first, _, key = name.rpartition("/")
-        if (array := getattr(owners[first], key, None)) is not None:
-            found[name] = array
+        array = getattr(owners[first], key, None)
+        if array is None or (name in schema.OPTIONAL_VALUES and not np.isfinite(array).any()):
+            continue
+        found[name] = array
     return found
 
 

@@ -1,4 +1,4 @@
-"""A gel and a body in front of it, as one assembly whose parts touch."""
+"""One or two gels and a body in front of them, as one assembly whose parts touch."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,6 +24,7 @@ _FIRST_RTOL = 1e-3  # of the forces without friction
 # Pairs of a first guess: those whose gap is less than this share of the depth. Contacts extend to
 # gaps of half the depth (Hertz), and of all of it under a thin gel.
 _TOUCHED, _GUESS_RTOL = 0.6, 0.02
+_STRIDE = 0.5  # of a first guess, over the thickness of the gel
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +55,9 @@ class CoupledState:
         a depth of 0.4 mm, and by 0.47 at 0.8 mm, under a gel of 4 mm on a cube of 10 mm.
         """
         contact, pairs = self.contact, self.contact.pairs
-        along = np.stack([np.ones(len(pairs.points)), pairs.points[:, 1], -pairs.points[:, 0]])
         springs = contact.springs(self.displacement)
         at_pairs = np.zeros((3, *pairs.points.shape))
-        at_pairs[..., 2] = springs[:, 2] * along
+        at_pairs[..., 2] = springs[:, 2] * along_axis(pairs.points)
         return np.stack([pairs.spread(one) for one in at_pairs])
 
 
@@ -68,7 +68,7 @@ class Coupled:
     and the midside nodes of both.
 
     Args:
-        facing: Points of gel and body that are opposite to each other.
+        facing: Points of gels and body that are opposite to each other.
         body: Mesh of the body.
         gel: Mesh of the gel.
         material: Constitutive law of the body; that of the gel has another Poisson's ratio.
@@ -85,6 +85,7 @@ class Coupled:
         body_rows: Nodes of the body, in the order of a discretisation of the body alone.
         face_rows: Nodes of the gel's face, midside nodes last.
         body_points: Points of the body of each pair at rest, in its own frame, mm.
+        opposed: Pairs of the opposed gel.
     """
 
     def __init__(
@@ -107,17 +108,19 @@ class Coupled:
         stiffness = RELATIVE_STIFFNESS * softest / float(np.sqrt(np.median(gel.mesh.surface.areas)))
         none = np.zeros(int(near.sum()), dtype=bool)
         self.contact = PairContact(pairs, np.zeros(3), stiffness, none)
-        self.counts, self.n_body = (body.n_tets, gel.mesh.n_tets), body.n_points
+        gels = (facing.mesh.n_points - body.n_points) // gel.mesh.n_points
+        self.counts, self.n_body = (body.n_tets, gels * gel.mesh.n_tets), body.n_points
         poisson = np.repeat([material.poisson, float(layer.poisson)], self.counts)
         law = make_material(layer.material, layer.poisson)
         self.assembly = Assembly(self.parts, law, poisson, self.parts.mesh.points)
         self.forget()
         self.gel_mpa = float(layer.youngs_mpa)
+        self._stride_mm = _STRIDE * float(layer.thickness_mm)
         fixed = np.zeros(body.points.shape, bool) if supports.fixed is None else supports.fixed
-        window = np.repeat(gel.on_window[:, None], 3, axis=1)
+        window = np.repeat(np.tile(gel.on_window, gels)[:, None], 3, axis=1)
         springs = None
         if supports.springs is not None:
-            springs = np.concatenate([supports.springs, np.zeros(gel.mesh.points.shape)])
+            springs = np.concatenate([supports.springs, np.zeros((len(window), 3))])
         held = Supports(fixed=np.concatenate([fixed, window]), springs=springs)
         self.supports = held.case(0, self.parts)
         vertices = np.arange(self.parts.mesh.n_points) >= body.n_points
@@ -125,6 +128,7 @@ class Coupled:
         self.body_rows: Int[np.ndarray, " b"] = np.flatnonzero(~on_gel)
         face = gel.face[gel.face_triangles] + body.n_points
         self.face_rows: Int[np.ndarray, " g"] = np.unique(self.parts.surface_nodes(face))
+        self.opposed: Bool[np.ndarray, " p"] = facing.opposed[near]
         corners = body.points[body.surface.triangles[facing.faces[near]]]
         self.body_points = np.einsum("pc,pcd->pd", facing.barycentric[near], corners)
 
@@ -197,16 +201,22 @@ class Coupled:
     ) -> tuple[Newton | None, Float[np.ndarray, "nodes 3"] | None]:
         """Return a search and displacements near the equilibrium, in which fewer pairs touch.
 
-        From a contact that is too large, each iteration releases a ring of pairs only. They are
-        None and `start` where the contact is flat.
+        From a contact that is too large, each iteration releases a ring of pairs only. Deep presses
+        are approached in steps. They are None and `start` where the contact is flat.
         """
-        pairs, depth = contact.pairs, float(contact.motion_mm[2])
-        far = pairs.gaps_mm > _TOUCHED * depth
-        if depth <= 0.0 or not far.any():
-            return None, start
-        pairs = replace(pairs, gaps_mm=np.where(far, pairs.gaps_mm + _REACH * depth, pairs.gaps_mm))
-        newton = self._search(replace(contact, pairs=pairs), youngs, _GUESS_RTOL)
-        return newton, newton.run(start).displacement
+        pairs, depth, newton = contact.pairs, float(contact.motion_mm[2]), None
+        steps = int(np.ceil(depth / self._stride_mm)) if start is None else 1
+        for step in range(1, steps + 1):
+            moved = contact.moved(step / steps)
+            reached = float(moved.motion_mm[2])
+            far = pairs.gaps_mm > _TOUCHED * reached
+            if reached <= 0.0 or not (far.any() or steps > 1):
+                return None, start
+            gaps = np.where(far, pairs.gaps_mm + _REACH * depth, pairs.gaps_mm)
+            moved = replace(moved, pairs=replace(pairs, gaps_mm=gaps))
+            newton = self._search(moved, youngs, _GUESS_RTOL, newton)
+            start = newton.run(start).displacement
+        return newton, start
 
     def _search(
         self,
@@ -220,6 +230,11 @@ class Coupled:
             self.assembly, self.pool, youngs, nothing, self.supports, options, after,
             contact=contact,
         )  # fmt: skip
+
+
+def along_axis(points: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "3 p"]:
+    """Return the motions along z of points (mm) by a translation and by tilts about x and y."""
+    return np.stack([np.ones(len(points)), points[:, 1], -points[:, 0]])
 
 
 def check_material(material: MaterialSpec, law: str) -> None:

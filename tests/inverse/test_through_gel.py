@@ -17,7 +17,8 @@ from tactorch.inverse.fit.shapes import ShapesOnSites
 from tactorch.inverse.forward.gel import GelProblem, pressed, within_contacts
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction
-from tactorch.inverse.search.through_gel import _sites, _with_errors, through_gel
+from tactorch.inverse.search.gel import gel_sites
+from tactorch.inverse.search.through_gel import _with_errors, through_gel
 from tactorch.mesh import Box, Sphere, box_mesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import GelReading, MaterialSpec, Press, Recording
@@ -102,7 +103,7 @@ def problem(recording: Recording) -> GelProblem:
 
 def test_derivatives_are_those_of_differences(problem: GelProblem, recording: Recording) -> None:
     field, z = field_and_truth(recording)
-    family = ShapesOnSites(field, _sites(recording.mesh))
+    family = ShapesOnSites(field, gel_sites(recording.mesh))
     evaluation = problem.evaluate(family.at(z).youngs)
     jacobian = family.at(z).jacobian(evaluation)
     for k in (0, len(z) - 1):
@@ -131,7 +132,7 @@ def test_errors_of_gel_and_pose_are_what_they_change(
 ) -> None:
     """One column for the gel of all presses, and three for the pose of each contact."""
     field, z = field_and_truth(recording)
-    youngs = ShapesOnSites(field, _sites(recording.mesh)).at(z).youngs
+    youngs = ShapesOnSites(field, gel_sites(recording.mesh)).at(z).youngs
     evaluation = problem.evaluate(youngs)
     columns = evaluation.uncertain(problem.contact_of, problem.readings)
     assert columns.shape == (len(evaluation.residuals), 1 + 2 * 3)
@@ -194,7 +195,7 @@ def test_errors_of_the_discretisation_are_smooth_and_belong_to_a_contact(
     certain = [replace(p, gel=replace(p.gel, uncertain=np.zeros(3))) for p in moving.presses]
     problem = GelProblem(replace(moving, presses=tuple(certain)), AROUND, cells=7)
     field, z = field_and_truth(recording)
-    evaluation = problem.evaluate(ShapesOnSites(field, _sites(recording.mesh)).at(z).youngs)
+    evaluation = problem.evaluate(ShapesOnSites(field, gel_sites(recording.mesh)).at(z).youngs)
     data = _with_errors(problem, evaluation, [np.full(n, 1e-3) for n in problem.data.counts])
     np.testing.assert_allclose(data.values, problem.data.values - 1e-3)
     assert data.correlated is not None
@@ -242,7 +243,7 @@ def test_a_ball_is_found_from_the_markers(
 def test_markers_within_the_contact_are_used(problem: GelProblem, recording: Recording) -> None:
     """The contact ends at the edges of the cube, 5 mm from the axis of the sensor."""
     field, z = field_and_truth(recording)
-    youngs = ShapesOnSites(field, _sites(recording.mesh)).at(z).youngs
+    youngs = ShapesOnSites(field, gel_sites(recording.mesh)).at(z).youngs
     rims = problem.rims(problem.evaluate(youngs))
     assert rims[0].size_mm == pytest.approx(10.0, rel=0.1)
     left, numbers = within_contacts(recording, rims, 0.08)
@@ -268,7 +269,7 @@ def test_markers_within_the_contact_are_used(problem: GelProblem, recording: Rec
 def test_equilibria_are_taken_over(problem: GelProblem, recording: Recording) -> None:
     """The same equilibrium is found from that of another problem, at once."""
     field, z = field_and_truth(recording)
-    youngs = ShapesOnSites(field, _sites(recording.mesh)).at(z).youngs
+    youngs = ShapesOnSites(field, gel_sites(recording.mesh)).at(z).youngs
     first = problem.evaluate(youngs)
     backwards = replace(recording, presses=recording.presses[::-1], check_units=False)
     other, numbers = GelProblem(backwards, AROUND, cells=7), [*range(len(recording.presses))][::-1]

@@ -1,8 +1,9 @@
-"""Presses of a tactile sensor as equilibria of its gel and the object.
+"""Presses of a tactile sensor, and grasps between two, as equilibria of gels and object.
 
 The window of the gel has a known pose, and the markers on the gel's face show how it is deformed.
-Forces are no data: they follow from the equilibrium. The traction, which is singular where the
-contact ends, is that of the finite elements of both, see `tactorch.touch.coupled`.
+Nodal forces are no data: they follow from the equilibrium. The traction, which is singular where
+the contact ends, is that of the finite elements of both, see `tactorch.touch.coupled`. The total
+force is a datum where it is measured.
 """
 
 from collections.abc import Sequence
@@ -16,11 +17,11 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from tactorch.errors import ConfigError, ConvergenceError
-from tactorch.fem import Supports
-from tactorch.fem.contact.pair import Pairs
+from tactorch.fem import EquilibriumResult, Newton, Sensitivity, Supports
+from tactorch.fem.contact.pair import PairContact, Pairs
+from tactorch.fem.linearization import ReadingRates
 from tactorch.inverse.data.nuisance import Nuisance
 from tactorch.inverse.data.observations import DataModel, Observation
-from tactorch.inverse.forward.probes import PressReadings
 from tactorch.inverse.forward.problem import (
     Changes,
     Columns,
@@ -38,7 +39,7 @@ from tactorch.sensor.description import GelLayer
 from tactorch.sensor.gel import GelMesh
 from tactorch.sensor.gel.face import edge_sizing
 from tactorch.sensor.poses import Pose, transform_points
-from tactorch.touch.coupled import Coupled, CoupledState, check_material
+from tactorch.touch.coupled import Coupled, CoupledState, along_axis, check_material
 from tactorch.touch.pairing import Facing, face_each_other
 
 #: Constitutive law of gel and object.
@@ -50,7 +51,56 @@ _DIGITS = 6  # of rest positions (mm) by which markers are the same
 # Share of the variance of a marker's error that all presses have in common: that of the marker at
 # rest, whose place among the pixels it has in each of them. Half of it in rendered images.
 _AT_REST = 0.5
+_ALONG_AXES = 1e-6  # error of a rotation by quarter turns
 _MAX_TURN = np.deg2rad(1.0)  # of the sensor between first contact and a press
+
+
+@dataclass(frozen=True, eq=False)
+class _Readings:
+    """Displacements of the markers, then the measured components of the force on the gel."""
+
+    markers: sp.csr_matrix  # from the displacements of all nodes (flat, mm) to those of markers
+    axes: Float[np.ndarray, "k 3"]  # components, in the frame of the sensor
+    opposed: Bool[np.ndarray, " p"]  # pairs of another gel
+
+    @property
+    def n_data(self) -> int:
+        return self.markers.shape[0] + len(self.axes)
+
+    def predicted(
+        self, contact: PairContact, u: Float[np.ndarray, "nodes 3"]
+    ) -> Float[np.ndarray, " data"]:
+        """Return the data at displacements (mm)."""
+        force = -contact.pair_forces(u)[~self.opposed].sum(axis=0)
+        return np.concatenate([self.markers @ u.ravel(), self.axes @ force])
+
+    def rates(self, newton: Newton, result: EquilibriumResult) -> ReadingRates:
+        """Return their derivatives by displacements; pairs remain in contact."""
+        contact = newton.contact
+        assert isinstance(contact, PairContact)
+        pairs, springs = contact.pairs, self._springs(contact, result.displacement)
+        columns, size = 3 * pairs.discretisation.coupled.ravel(), 3 * pairs.discretisation.n_nodes
+        total = [
+            np.bincount(columns + i, (springs[:, i, None] * pairs.values).ravel(), minlength=size)
+            for i in range(3)
+        ]
+        return ReadingRates.of_displacements(
+            sp.vstack([self.markers, sp.csr_matrix(self.axes @ np.array(total))], format="csr")
+        )
+
+    def by_motion(
+        self, contact: PairContact, u: Float[np.ndarray, "nodes 3"]
+    ) -> Float[np.ndarray, "data 3"]:
+        """Return the derivatives by the motions of `CoupledState` at constant displacements."""
+        total = np.zeros((3, 3))
+        total[2] = -self._springs(contact, u)[:, 2] @ along_axis(contact.pairs.points).T
+        return np.concatenate([np.zeros((self.markers.shape[0], 3)), self.axes @ total])
+
+    def _springs(
+        self, contact: PairContact, u: Float[np.ndarray, "nodes 3"]
+    ) -> Float[np.ndarray, "p 3"]:
+        """Stiffness of the pairs of this gel, N/mm."""
+        return np.where(self.opposed[:, None], 0.0, contact.springs(u))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +109,7 @@ class _GelPress:
 
     coupled: Coupled
     state: CoupledState
-    readings: PressReadings
+    readings: _Readings
 
     @property
     def newton(self) -> Any:
@@ -70,7 +120,13 @@ class _GelPress:
         return self.state.result
 
     def predicted(self, observation: Observation) -> Float[np.ndarray, " data"]:
-        return self.readings.predicted(self.newton, self.equilibrium)
+        return self.readings.predicted(self.state.contact, self.state.displacement)
+
+    def by_motions(self, case: Sensitivity) -> Float[np.ndarray, "data 3"]:
+        """Return the changes of the data by motions of the gels, see `CoupledState`."""
+        moved = case.linearization.force_response(self.state.motion_forces())
+        columns = np.column_stack([case.observe(field) for field in moved])
+        return columns + self.readings.by_motion(self.state.contact, self.state.displacement)
 
 
 class GelEvaluation(Evaluation):
@@ -81,11 +137,27 @@ class GelEvaluation(Evaluation):
     def _of_press(self, changes: Changes, number: int) -> Changes:
         return self._presses[number].coupled.body_changes(changes)
 
+    def jacobian(self) -> Float[np.ndarray, "data moduli"]:
+        """Return d residuals / d youngs of the object, 1/MPa."""
+        cases, data, size = self.sensitivities, self.data.observations, self.youngs.size
+
+        def work(i: int) -> np.ndarray:
+            return cases[i].matrix()[:, :size] * data[i].scale[:, None]  # without the gels
+
+        return self._of_residuals(np.concatenate(map_cases(work, len(cases))))
+
+    def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Moduli:
+        """Return the transpose of d residuals / d youngs of the object times `weights`."""
+        own, cases = self._split(weights), self.sensitivities
+        parts = map_cases(lambda i: cases[i].transpose_times(own[i]), len(cases))
+        rows = np.sum([part[: self.youngs.size] for part in parts], axis=0)
+        return np.asarray(rows.reshape(self.youngs.shape))
+
     def uncertain(self, contacts: Sequence[int], readings: Sequence[GelReading]) -> Columns:
         """Return errors that data have in common, each of unit deviation, in deviations of data.
 
-        They are of the modulus of each sensor's gel, and of the position along the axis and the
-        tilts of each contact.
+        They are of the modulus of each sensor's gel, on which the distance of two gels may depend,
+        and of the position along the axis and the tilts of each contact.
 
         Args:
             contacts: Contact of each press.
@@ -96,8 +168,9 @@ class GelEvaluation(Evaluation):
         def work(i: int) -> np.ndarray:
             press, (modulus, position, turn) = self._presses[i], readings[i].uncertain.tolist()
             column, _ = cases[i].times_each(press.coupled.gel_change[None])
-            moved = cases[i].linearization.force_response(press.state.motion_forces())
-            motions = np.column_stack([cases[i].observe(field) for field in moved])
+            motions = press.by_motions(cases[i])
+            if readings[i].is_grasp:  # both move by half of the change of their distance
+                column = column - 0.5 * float(readings[i].opposed[1]) * motions[:, :1]
             return np.hstack([modulus * column, motions * [position, turn, turn]])
 
         parts = map_cases(work, len(cases))
@@ -182,15 +255,10 @@ class GelProblem(InverseProblem):
             _make_contact(recording, numbers, youngs_mpa, (cells, layers), sizing, surface)
             for numbers, sizing in zip(groups, sizings, strict=True)
         ]
-        none, apart = np.zeros(0, dtype=np.int64), (1.0 - _AT_REST) ** -0.5
-        observations = tuple(
-            Observation(none, g.displacement_mm.ravel(), np.repeat(apart / g.deviations_mm, 2))
-            for g in self.readings
-        )
-        self.data = DataModel(observations)
-        self._rows = [
-            _marker_rows(self._touched[k], reading)
-            for k, reading in zip(self.contact_of, self.readings, strict=True)
+        self.data = DataModel(tuple(_observation(press) for press in recording.presses))
+        self._readings_of = [
+            _make_readings(self._touched[k], press)
+            for k, press in zip(self.contact_of, recording.presses, strict=True)
         ]
 
     def with_data(self, data: DataModel) -> "GelProblem":
@@ -253,7 +321,10 @@ class GelProblem(InverseProblem):
         numbers = {key: column for column, key in enumerate(dict.fromkeys(keys))}
         columns = [numbers[key] for key in keys]
         values = np.full(len(keys), (_AT_REST / (1.0 - _AT_REST)) ** 0.5)
-        return sp.csr_matrix((values, (np.arange(len(keys)), columns)))
+        begins, counts = self.data.begins, [2 * len(r.markers_mm) for r in self.readings]
+        rows = [begin + np.arange(n) for begin, n in zip(begins, counts, strict=True)]
+        shape = (len(self.data.values), len(numbers))
+        return sp.csr_matrix((values, (np.concatenate(rows), columns)), shape)
 
     def motion(self, number: int) -> Float[np.ndarray, "3"]:
         """Return the motion of the sensor in a press from first touch, in its frame, mm."""
@@ -302,7 +373,7 @@ class GelProblem(InverseProblem):
             label = self.recording.presses[number].label
             raise ConvergenceError(f"{label} (index {number}): {error}") from error
         self._sticking[number] = state.contact.sticking
-        return _GelPress(contact.coupled, state, PressReadings(self._rows[number], None))
+        return _GelPress(contact.coupled, state, self._readings_of[number])
 
     def rims(self, evaluation: GelEvaluation) -> list["Rim"]:
         """Return where the contact ends in each press.
@@ -440,7 +511,9 @@ def _make_contact(
     gel = GelMesh(layer, shorter / cells[0], cells[1])
     if sizing is not None:
         gel = gel.refined(sizing)
-    facing = face_each_other(mesh, surface or mesh, gel, reading.first_pose)
+    facing = face_each_other(
+        mesh, surface or mesh, gel, reading.first_pose, opening_mm=float(reading.opposed[0])
+    )
     if facing is None:
         raise ConfigError(f"{first.label}: the gel is over no part of the object; check its pose.")
     motions = [_motion(recording.presses[i], facing) for i in numbers]
@@ -454,14 +527,22 @@ def _make_contact(
 
 
 def _supports(press: Press) -> Supports:
-    """Return the supports in any frame."""
-    for name in ("fixed", "springs"):
-        values = getattr(press, name)
-        if (values != values[:, :1]).any():
-            raise ConfigError(f"{press.label}: {name} differ along axes; give the same along all.")
+    """Return the supports in the frame of the sensor at first contact."""
     if press.prescribed.any():
         raise ConfigError(f"{press.label}: prescribed moves the supports; move the gel instead.")
-    return Supports(fixed=press.fixed, springs=press.springs if press.springs.any() else None)
+    turn = np.abs(_reading(press).first_pose[:3, :3])
+    is_along_axes = np.abs(turn - np.round(turn)).max() < _ALONG_AXES
+    turned = {name: getattr(press, name) for name in ("fixed", "springs")}
+    for name, values in turned.items():
+        if is_along_axes:
+            turned[name] = values[:, np.argmax(turn, axis=0)]
+        elif (values != values[:, :1]).any():
+            raise ConfigError(
+                f"{press.label}: {name} differ along axes, and the sensor is not along these; give "
+                "the same along all."
+            )
+    springs = turned["springs"]
+    return Supports(fixed=turned["fixed"], springs=springs if springs.any() else None)
 
 
 def _motion(press: Press, facing: Facing) -> Float[np.ndarray, "3"]:
@@ -479,9 +560,32 @@ def _motion(press: Press, facing: Facing) -> Float[np.ndarray, "3"]:
     return motion
 
 
+def _observation(press: Press) -> Observation:
+    """Return the data of a press: of markers that part of their error which is its own."""
+    reading, apart = _reading(press), (1.0 - _AT_REST) ** -0.5
+    values = [reading.displacement_mm.ravel()]
+    scales = [np.repeat(apart / reading.deviations_mm, 2)]
+    if press.force is not None:
+        values.append(press.force.values)
+        scales.append(1.0 / press.force.deviations)
+    none = np.zeros(0, dtype=np.int64)
+    return Observation(none, np.concatenate(values), np.concatenate(scales), press.force)
+
+
+def _make_readings(contact: _Contact, press: Press) -> _Readings:
+    reading, axes = _reading(press), np.zeros((0, 3))
+    if press.force is not None:
+        if press.force.axes[:, 3:].any():
+            raise ConfigError(f"{press.label}: moments on a gel are not known; give its force.")
+        axes = press.force.axes[:, :3] @ reading.pose[:3, :3]
+    return _Readings(_marker_rows(contact, reading), axes, contact.coupled.opposed)
+
+
 def _marker_rows(contact: _Contact, reading: GelReading) -> sp.csr_matrix:
     """Return the map from displacements of all nodes (flat, mm) to those of the markers."""
     gel, parts = contact.gel, contact.coupled.parts
+    if not len(reading.markers_mm):
+        return sp.csr_matrix((0, 3 * parts.n_nodes))
     flat, queries = (
         np.pad(at[:, :2], ((0, 0), (0, 1))) for at in (gel.face_points, reading.markers_mm)
     )

@@ -229,6 +229,7 @@ class Reconstruction(Displayed):
             "warnings": list(self.warnings),
             "probability": self.probability,
             "background_mpa": self.background_mpa,
+            "background_90_mpa": list(self.shapes.background_90_mpa) if self.shapes else None,
             "lumps": [lump.plain() for lump in self.lumps],
             "steps": [step._asdict() for step in self.shapes.steps] if self.shapes else [],
             "alternatives": [a.plain() for a in self.shapes.alternatives] if self.shapes else [],

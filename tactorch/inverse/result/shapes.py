@@ -249,6 +249,12 @@ class ShapeReconstruction(Displayed):
         """
         return float(np.exp(self.field.physical(self.estimate)[self.field.background.level]))
 
+    @property
+    def background_90_mpa(self) -> Interval:
+        """90 % interval of it, MPa."""
+        field = self.posterior.field
+        return _interval(np.exp(field.physical(self.samples)[:, field.background.level]))
+
     @cached_property
     def estimate(self) -> Float[np.ndarray, " size"]:
         """Parameters of `field` that are reported, in standard deviations of the prior.

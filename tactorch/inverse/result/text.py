@@ -55,6 +55,8 @@ def _finding(result: Reconstruction) -> list[str]:
     if result.reasons:
         return [f"Do not trust this result: {reason}" for reason in result.reasons]
     modulus = f"Young's modulus is {result.background_mpa:.3g} MPa"
+    if result.shapes is not None:
+        modulus += f" (90 %: {_span(result.shapes.background_90_mpa)} MPa)"
     found = [f"Nothing found: no lump stands out; {modulus}."]
     if result.lumps:
         first = [] if result.shapes is not None else ["In the element map:"]

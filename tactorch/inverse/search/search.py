@@ -30,6 +30,7 @@ from tactorch.inverse.forward.predictions import Predictions
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import Alternative, ShapeReconstruction
 from tactorch.inverse.search.base import SearchProblem
+from tactorch.inverse.search.gel import GraspSearch, is_of_grasps
 from tactorch.inverse.search.model import (
     MAX_LOG_ODDS,
     MIN_GAIN,
@@ -115,12 +116,15 @@ def find_shapes(
                     path = _accept_models(PalpationSearch(part, *options), limit, None, update)[1]
             update("elements at all places")
             problem: SearchProblem = PalpationSearch(recording, *options)
+        elif is_of_grasps(recording):
+            problem = GraspSearch(recording, settings, limit, max_shapes)
         else:
             refined = recording if is_same_model(recording) else refined_at_contacts(recording)
             problem = ShapeProblem(refined, settings, limit, kept, max_shapes)
             if start is None:
                 _log_provisional(problem)
         has_gels = any(press.gel is not None for press in recording.presses)
+        has_gels = has_gels and not is_of_grasps(recording)
         model, result = search(problem, limit, start, update, path, brief=has_gels)
         if has_gels and not result.ended:
             update("gel and object")

@@ -14,24 +14,19 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from tactorch.errors import UNCOMPUTABLE, CancelledError
-from tactorch.fem import ELEMENTS
 from tactorch.inverse.data.observations import DataModel
-from tactorch.inverse.errors import Levels
 from tactorch.inverse.errors.discrepancy import smooth_patterns
-from tactorch.inverse.fields import InclusionShape, ShapeField, Sites, Vector
+from tactorch.inverse.fields import InclusionShape, ShapeField, Vector
 from tactorch.inverse.fit.shapes import ShapesOnSites
 from tactorch.inverse.forward.gel import GelEvaluation, GelProblem, pressed, within_contacts
 from tactorch.inverse.forward.problem import Evaluation
-from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction
-from tactorch.inverse.search.base import FINE, ROUGH, SearchProblem
-from tactorch.inverse.search.final_posterior import final_posterior
+from tactorch.inverse.search.base import FINE, ROUGH
+from tactorch.inverse.search.gel import GelSearch, gel_sites
 from tactorch.inverse.search.model import Model, Start, record
 from tactorch.inverse.search.sizing import inclusion_sizing, sharp_edge_sizing, smallest
-from tactorch.mesh import TetMesh
 from tactorch.mesh.refine import Sizing
 from tactorch.recording import Recording, refine_recording
-from tactorch.touch.pairing import ELEMENT
 
 _log = logging.getLogger(__name__)
 # Edges of the finer mesh at the end of a contact, over its size; cells across and through its gel.
@@ -96,37 +91,11 @@ def through_gel(
     )
 
 
-class _Search(SearchProblem):
-    """Gel and object with data that are corrected for the discretisation."""
-
-    full: GelProblem
-
-    def __init__(self, full: GelProblem, sites: Sites, stop: Callable[[], bool]) -> None:
-        super().__init__(stop)
-        self.full, self.sites = full, sites
-
-    def data(self, errors: Levels) -> DataModel:
-        return self.full.data
-
-    def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
-        """Return the posterior, with the error of the sensor's position across its axis.
-
-        It shifts the object under the gel, and markers hardly show it.
-        """
-        model, posterior = final_posterior(self, model)
-        return model, posterior.misplaced(max(float(r.uncertain[1]) for r in self.full.readings))
-
-    def misfit_rise(self, model: Model, z: Vector) -> float:
-        youngs = ShapesOnSites(model.fit.field, self.sites).at(z).youngs
-        found = self.full.evaluate(youngs, starts=self.displacements(model, z))
-        return float(np.sum(found.residuals**2)) - 2.0 * model.fit.misfit
-
-
 def _fitted(
     result: ShapeReconstruction, recording: Recording, check: Callable[[], bool]
-) -> tuple[_Search, Model]:
+) -> tuple[GelSearch, Model]:
     typical = result.background_mpa
-    recording, sites = pressed(recording, typical), _sites(recording.mesh)
+    recording, sites = pressed(recording, typical), gel_sites(recording.mesh)
     field, z = result.field, result.z
 
     def go_on() -> None:
@@ -146,7 +115,7 @@ def _fitted(
     del first  # whose factorisations take gigabytes
     correction = _Correction(recording, typical, sizings, on_object, tuple(field.shapes(z)))
     evaluation: Evaluation = problem.evaluate(youngs, starts=starts)
-    search = _Search(problem, sites, check)
+    search = GelSearch(problem, sites, check)
     for tolerance in (ROUGH, FINE):
         go_on()
         data = _with_errors(problem, evaluation, correction.offsets(field, z, evaluation))
@@ -156,10 +125,6 @@ def _fitted(
         _log.info("gel and object: chi2 %.4g", model.fit.chi2)
         z, evaluation = model.fit.z, model.evaluation
     return search, model
-
-
-def _sites(mesh: TetMesh) -> Sites:
-    return Sites.around(mesh, ELEMENTS[ELEMENT].points)
 
 
 def _with_errors(
@@ -205,7 +170,7 @@ class _Correction:
     ) -> None:
         on_object = *on_object, sharp_edge_sizing(recording.mesh), inclusion_sizing(shapes)
         fine = refine_recording(recording, smallest(*on_object))
-        self._sites = _sites(fine.mesh)
+        self._sites = gel_sites(fine.mesh)
         self._problem = GelProblem(
             fine,
             youngs_mpa,

@@ -1,0 +1,168 @@
+"""The part of a grasp in which the gripper holds: where force and width belong together.
+
+A robot reports widths at a lower rate than forces and later, so that rows of a moving gripper pair
+a force with the width of an earlier time. Where both are constant in the same rows, these widths
+were reported while the gripper held, too.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tactorch.config import Options, option
+from tactorch.errors import ConfigError, FileError
+from tactorch.importers.quantities import FORCES, LENGTHS, assign
+from tactorch.importers.sheets import read_sheet
+
+#: Units of the columns of a grasp.
+GRASP_UNITS = {"time": {"s": 1.0, "ms": 1e-3}, "force": FORCES, "width": LENGTHS}
+_NAMES = {"time": "time_s", "force": "force_n", "width": "width_mm"}
+_WINDOW_S = 0.1  # over which rates are taken
+_QUIET = 0.15  # rate of force and width over the largest, below which the gripper holds
+_FIRM = 0.5  # force over the largest, above which it is closed
+_MIN_ROWS = 4
+_LAGS_S = 1.0  # largest lag of the widths
+_MAX_N, _MAX_MM = 2e3, 1e3  # beyond which a unit is wrong
+
+
+@dataclass(frozen=True, eq=False)
+class Hold:
+    """A closed gripper that does not move.
+
+    Attributes:
+        name: Name of its table.
+        force_n, width_mm: Means, N and mm.
+        force_deviation_n, width_deviation_mm: Standard deviations of the rows.
+        creep_mm: Change of the width from the first to the last row.
+        lag_s: Time by which widths are later than forces.
+        time_s: First and last time.
+    """
+
+    name: str
+    force_n: float
+    width_mm: float
+    force_deviation_n: float
+    width_deviation_mm: float
+    creep_mm: float
+    lag_s: float
+    time_s: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspColumns(Options):
+    """Columns of a table of time, force and width of a gripper."""
+
+    columns: dict[str, str] | None = option(
+        None, "Columns of quantities that have other names, such as {width: gripper_width_mm}"
+    )
+    units: dict[str, str] | None = option(
+        None, "Units of quantities, if not those of the names, such as {width: m}"
+    )
+
+    def hold(self, path: Path) -> Hold:
+        """Return the longest time in which the gripper holds an object.
+
+        Raises:
+            FileError: the table cannot be used, or the gripper holds nothing; names the file.
+        """
+        sheet = read_sheet(path, "grasp")
+        try:
+            found = assign(list(sheet.columns), self.columns or {}, self.units or {}, GRASP_UNITS)
+        except ConfigError as error:
+            raise ConfigError(f"'{path}': {error}") from error
+        missing = [name for name in _NAMES if name not in found]
+        if missing:
+            raise FileError(
+                f"'{path}' lacks the column {_NAMES[missing[0]]!r}; its columns are "
+                f"{', '.join(sheet.columns)}. Others are stated as in "
+                f"format.columns={{{missing[0]}: NAME}}."
+            )
+        time, force, width = (found[n][1] * sheet.numbers(found[n][0]) for n in _NAMES)
+        known = np.isfinite(time) & np.isfinite(force) & np.isfinite(width)
+        return find_hold(path, time[known], force[known], width[known])
+
+
+def find_hold(
+    path: Path,
+    time_s: Float[np.ndarray, " k"],
+    force_n: Float[np.ndarray, " k"],
+    width_mm: Float[np.ndarray, " k"],
+) -> Hold:
+    """Return the longest part of a grasp in which force and width hardly change."""
+    _check(path, time_s, force_n, width_mm)
+    lag = _lag(time_s, force_n, width_mm)
+    rates = [np.abs(_rate(time_s, values)) for values in (force_n, width_mm)]
+    quiet = np.logical_and.reduce([rate <= _QUIET * rate.max() for rate in rates])
+    quiet &= force_n > _FIRM * force_n.max()
+    first, last = _longest(quiet)
+    if last - first < _MIN_ROWS:
+        raise FileError(
+            f"'{path}': force and width are constant together in less than {_MIN_ROWS} rows; a "
+            "moving gripper pairs forces with widths of another time. Hold the object for a "
+            "second at the largest force."
+        )
+    rows = slice(first, last)
+    return Hold(
+        path.stem, float(force_n[rows].mean()), float(width_mm[rows].mean()),
+        float(force_n[rows].std()), float(width_mm[rows].std()),
+        float(width_mm[last - 1] - width_mm[first]), lag,
+        (float(time_s[first]), float(time_s[last - 1])),
+    )  # fmt: skip
+
+
+def _check(
+    path: Path,
+    time_s: Float[np.ndarray, " k"],
+    force_n: Float[np.ndarray, " k"],
+    width_mm: Float[np.ndarray, " k"],
+) -> None:
+    if len(time_s) <= _MIN_ROWS or (np.diff(time_s) <= 0.0).any():
+        raise FileError(f"'{path}': time has to rise over more than {_MIN_ROWS} rows.")
+    if force_n.max() <= 0.0:
+        raise FileError(
+            f"'{path}': the largest force is {force_n.max():.3g} N; forces of a closing gripper "
+            "are positive: change their sign."
+        )
+    if force_n.max() > _MAX_N or np.abs(width_mm).max() > _MAX_MM:
+        raise FileError(
+            f"'{path}': forces reach {force_n.max():.3g} N and widths "
+            f"{np.abs(width_mm).max():.3g} mm; state the units as in "
+            '"format.units={force: mN, width: um}".'
+        )
+
+
+def _rate(time_s: Float[np.ndarray, " k"], values: Float[np.ndarray, " k"]) -> np.ndarray:
+    """Return the change of values over a window about each time, 1/s."""
+    half = 0.5 * _WINDOW_S
+    later, earlier = (np.clip(time_s + sign * half, time_s[0], time_s[-1]) for sign in (1, -1))
+    change = np.interp(later, time_s, values) - np.interp(earlier, time_s, values)
+    return np.asarray(change / (later - earlier))
+
+
+def _lag(
+    time_s: Float[np.ndarray, " k"],
+    force_n: Float[np.ndarray, " k"],
+    width_mm: Float[np.ndarray, " k"],
+) -> float:
+    """Return by how much later widths fall than forces rise, by their cross-correlation, s."""
+    step = float(np.median(np.diff(time_s)))
+    even = np.arange(time_s[0], time_s[-1] + 0.5 * step, step)
+    rise, fall = (
+        _rate(even, sign * np.interp(even, time_s, values))
+        for sign, values in ((1.0, force_n), (-1.0, width_mm))
+    )
+    steps = np.arange(min(int(_LAGS_S / step), len(even) - 2) + 1)
+    products = [float(rise[: len(rise) - k] @ fall[k:]) for k in steps]
+    return float(step * steps[int(np.argmax(products))])
+
+
+def _longest(chosen: Bool[np.ndarray, " k"]) -> tuple[int, int]:
+    """Return the first row of the longest run of chosen rows, and the one after its last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int)))
+    if not len(edges):
+        return 0, 0
+    begins, ends = edges[::2], edges[1::2]
+    longest = int(np.argmax(ends - begins))
+    return int(begins[longest]), int(ends[longest])
