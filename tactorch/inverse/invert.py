@@ -30,6 +30,7 @@ from tactorch.inverse.fit.optimizers.base import OPTIMIZERS
 from tactorch.inverse.fit.optimizers.gauss_newton import GaussNewton
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.starts import START_MPA, Start, checked_start, start_map, uniform_fit
+from tactorch.inverse.forward.gel import is_of_grasps
 from tactorch.inverse.forward.palpation import (
     PALPATION_ELEMENT,
     PalpationProblem,
@@ -114,18 +115,21 @@ def invert(
         )  # fmt: skip
         return _criticised(result, recording, settings)
 
+    of_grasps = is_of_grasps(recording)
     if settings.method == "map":
+        if of_grasps:
+            raise ConfigError("method=map: forces of grasps have no element map; leave it out.")
         return element_map()
     try:
         found = _find(recording, settings, search)
     except UNCOMPUTABLE as error:
-        if settings.method == "inclusions" or isinstance(error, CancelledError):
+        if settings.method == "inclusions" or of_grasps or isinstance(error, CancelledError):
             raise
         reason = str(error).rstrip(".") or "not enough memory"
         warning = f"No inclusions can be fitted ({reason}); this is the element map."
         _log.warning("%s", warning)
         return element_map().with_warning(warning)
-    is_explained = not found.reasons and found.chi2 <= _MAX_CHI2
+    is_explained = of_grasps or (not found.reasons and found.chi2 <= _MAX_CHI2)
     ended = found.stop_reason in (StopReason.INTERRUPTED, StopReason.TIME_LIMIT)
     if settings.method == "inclusions" or is_explained or ended:
         return found

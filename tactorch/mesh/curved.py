@@ -11,7 +11,9 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
 
-from tactorch.mesh.geometry import area_vectors, unit_rows
+from tactorch.mesh.closest import closest_points
+from tactorch.mesh.geometry import area_vectors, unit_rows, without_flat_elements
+from tactorch.mesh.tetmesh import TetMesh
 from tactorch.mesh.values import Points, Triangles
 
 _SHARP = np.cos(np.deg2rad(40.0))  # cosine of the angle between normals at a sharp edge
@@ -40,6 +42,24 @@ def curved_offsets(
         share = 0.5 * barycentric[:, i] * barycentric[:, j] * rise
         offsets += share[:, None] * (first + second)
     return offsets
+
+
+def onto_curved_surface(fine: TetMesh, coarse: TetMesh) -> TetMesh:
+    """Move the boundary nodes that a refinement adds onto the curved surface of the coarse mesh.
+
+    Nodes of elements that would become flat move by less.
+    """
+    nodes = fine.surface.nodes()
+    nodes = nodes[nodes >= coarse.n_points]
+    if not len(nodes):
+        return fine
+    triangles = coarse.surface.triangles
+    closest = closest_points(coarse.points, triangles, fine.points[nodes])
+    places = closest.triangles, closest.barycentric
+    target = fine.points.copy()
+    target[nodes] += curved_offsets(coarse.points, triangles, *places)
+    points = without_flat_elements(fine.points, target, fine.tets)
+    return TetMesh(points, fine.tets, fine.regions)
 
 
 def _corner_normals(points: Points, triangles: Triangles) -> Float[np.ndarray, "t 3 3"]:

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from tactorch.errors import UNCOMPUTABLE
 from tactorch.inverse import settings_from
 from tactorch.inverse.data.observations import Observation
+from tactorch.inverse.forward.gel import is_of_grasps
 from tactorch.inverse.forward.palpation import is_palpation
 from tactorch.inverse.forward.predictions import observed_data
 from tactorch.inverse.invert import solution
@@ -56,10 +57,13 @@ def assess(
 def is_solved_again(run: Run) -> bool:
     """Return whether the presses of a run are solved again for its uncertainty.
 
-    Inclusions have their posterior, and a palpation has no displacements, nor their credibility.
+    Inclusions have their posterior; palpations and grasps have no displacements, nor their
+    credibility.
     """
     recording = run.recording
-    return recording is not None and not (run.result.shapes and is_palpation(recording))
+    if recording is None or run.result.shapes is None:
+        return recording is not None
+    return not (is_palpation(recording) or is_of_grasps(recording))
 
 
 def _known(run: Run) -> UncertaintySummary | None:

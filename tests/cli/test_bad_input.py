@@ -258,7 +258,7 @@ FORCE, POSITIONS, SPRINGS, SEEN = (f"presses/{name}1.txt" for name in ("force", 
     ),
     Case(
         "unknown format",
-        ("format=matlab is unknown", "choose one of palpation, published"),
+        ("format=matlab is unknown", "choose one of grasp, palpation, published"),
         settings=("format=matlab",),
     ),
     Case(

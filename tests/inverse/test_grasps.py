@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactorch.errors import ConvergenceError, RecordingError
+from tactorch.errors import ConfigError, ConvergenceError, RecordingError
 from tactorch.fem import Supports
 from tactorch.inverse import Settings, invert
 from tactorch.inverse.forward.gel import GelProblem
@@ -133,6 +133,19 @@ def test_derivatives_of_the_force_are_those_of_differences() -> None:
     assert columns[1] == pytest.approx(0.01 * by_motion, rel=2e-3)
 
 
+def test_presses_solved_alone_have_the_predictions_of_all() -> None:
+    mesh = box_mesh(SIZE, 3, center_mm=(0.0, 0.0, 0.0))
+    presses = grasp(mesh, 0.5, 0.3), grasp(mesh, 1.0, 0.5)
+    problem = GelProblem(Recording(mesh, presses, MATERIAL), YOUNGS)
+    assert problem.contact_of == [0, 0]
+    youngs = np.full(gel_sites(mesh).shape, YOUNGS)
+    expected = problem.evaluate(youngs).predicted
+    found = problem.predicted_alone(youngs, [1, 0])
+    assert found.keys() == {0, 1}
+    for i in range(2):
+        assert found[i] == pytest.approx(expected[i], rel=1e-5)
+
+
 def test_modulus_of_a_cube_is_found_from_the_force_of_a_grasp() -> None:
     """The force is that of a finer mesh."""
     both = coupled(LAYER, 7, 0.5)
@@ -144,6 +157,11 @@ def test_modulus_of_a_cube_is_found_from_the_force_of_a_grasp() -> None:
     # A fifth of the gels' modulus, 0.01 mm of 0.5 and a per cent of the force.
     assert 1.05 < high / low < 2.0
     assert "90 %" in result.summary()
+
+
+def test_grasps_have_no_element_map() -> None:
+    with pytest.raises(ConfigError, match="method=map"):
+        invert(recording(), Settings(method="map"))
 
 
 def test_force_of_a_rigid_object_is_refused() -> None:

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from tactorch.mesh import Box, Cylinder, Shape, Sphere
-from tactorch.mesh.curved import curved_offsets
+from tactorch.mesh import Box, Cylinder, Shape, Sphere, TetMesh, box_mesh, refine
+from tactorch.mesh.curved import curved_offsets, onto_curved_surface
+from tactorch.mesh.lattice import lattice_mesh
 
 
 def placed(shape: Shape, count: int = 500) -> tuple[np.ndarray, np.ndarray]:
@@ -41,3 +42,27 @@ def test_cylinder_is_round_and_its_ends_are_flat(axis: tuple[float, float, float
 def test_box_remains_a_box() -> None:
     _, offsets = placed(Box((0.0, 0.0, 0.0), (3.0, 4.0, 5.0)))
     assert (offsets == 0.0).all()
+
+
+def test_nodes_that_a_refinement_adds_are_on_the_ball() -> None:
+    ball = Sphere((0.0, 0.0, 0.0), 10.0)
+    mesh = lattice_mesh(ball, 3.0)  # whose nodes near the box of the ball are on the box
+    points, nodes = mesh.points.copy(), mesh.surface.nodes()
+    points[nodes] *= 10.0 / np.linalg.norm(points[nodes], axis=1)[:, None]
+    coarse = TetMesh.create(points, mesh.tets)
+    fine = refine(coarse, lambda points: np.full(len(points), 2.5)).mesh
+    moved = onto_curved_surface(fine, coarse)
+    added = moved.surface.nodes()
+    added = added[added >= coarse.n_points]
+    before, after = (ball.signed_distance(mesh.points[added]) for mesh in (fine, moved))
+    assert len(added) > 100
+    assert np.sqrt(np.mean(after**2)) < 0.25 * np.sqrt(np.mean(before**2))
+    assert moved.volumes.min() > 0.0
+    kept = np.setdiff1d(np.arange(fine.n_points), added)
+    np.testing.assert_array_equal(moved.points[kept], fine.points[kept])
+
+
+def test_refined_box_remains_the_same() -> None:
+    coarse = box_mesh(10.0, 3)
+    fine = refine(coarse, lambda points: np.full(len(points), 2.0)).mesh
+    np.testing.assert_array_equal(onto_curved_surface(fine, coarse).points, fine.points)

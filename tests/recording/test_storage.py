@@ -281,7 +281,7 @@ def mark(group: str, name: str, value: Any) -> Callable[[h5py.File], None]:
     [
         (mark("/", "format", None), "has format None"),
         (mark("/", "format", "other"), "has format 'other'"),
-        (mark("/", "version", 16), "has version 16, and this tactorch reads up to 15; upgrade"),
+        (mark("/", "version", 18), "has version 18, and this tactorch reads up to 17; upgrade"),
         (mark("/", "version", 0), "has version 0, which never existed"),
         (mark("/", "version", "one"), "attribute 'version' of '/' is 'one'; int is needed"),
         (mark("/", "units", "m"), "is in units 'm'"),

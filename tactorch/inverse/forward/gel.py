@@ -6,8 +6,9 @@ the contact ends, is that of the finite elements of both, see `tactorch.touch.co
 force is a datum where it is measured.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,8 @@ from tactorch.sensor.gel.face import edge_sizing
 from tactorch.sensor.poses import Pose, transform_points
 from tactorch.touch.coupled import Coupled, CoupledState, along_axis, check_material
 from tactorch.touch.pairing import Facing, face_each_other
+
+_Data = Float[np.ndarray, " data"]  # of a press, mm or N
 
 #: Constitutive law of gel and object.
 GEL_LAW = "neo_hookean"
@@ -240,7 +243,7 @@ class GelProblem(InverseProblem):
         # Pairs of each press that do not slip, by the first evaluation: a set that changes from one
         # evaluation to the next would change the predictions by leaps.
         self._sticking: dict[int, Bool[np.ndarray, " p"]] = {}
-        self._deepest: dict[int, NodalField] = {}  # displacements of deepest presses
+        self._last: dict[int, NodalField] = {}  # displacements of `predicted_alone`
         check_material(recording.material, GEL_LAW)
         if recording.density:
             raise ConfigError("the object has weight, which gel and object do not account for.")
@@ -347,22 +350,25 @@ class GelProblem(InverseProblem):
             found.append((last[k], min(max(share, 0.0), 1.0)))
         return found
 
-    def deepest_predicted(self, youngs: Moduli) -> dict[int, Float[np.ndarray, " data"]]:
-        """Return the data (mm) of the deepest press of each contact, by its number.
+    def predicted_alone(self, youngs: Moduli, numbers: Sequence[int]) -> dict[int, _Data]:
+        """Return the data (mm or N) of some presses by number, without what derivatives need.
 
         Equilibria are searched from those of the last call.
         """
-        numbers = self.deepest_of_contacts
-        starts = [self._deepest.get(i) for i in range(len(self.readings))]
+        starts = [self._last.get(i) for i in range(len(self.readings))]
 
-        def work(k: int) -> Float[np.ndarray, " data"]:
-            press = self._solve(numbers[k], youngs, starts)
-            self._deepest[numbers[k]] = press.state.displacement
-            data = press.predicted(self.data.observations[numbers[k]])
-            self._touched[k].coupled.forget()
-            return data
+        def work(number: int) -> _Data:
+            press = self._solve(number, youngs, starts)
+            self._last[number] = press.state.displacement
+            press.coupled.forget()
+            return press.predicted(self.data.observations[number])
 
-        return dict(zip(numbers, map_cases(work, len(numbers)), strict=True))
+        # Presses of a contact share a solver, which is forgotten: one after the other.
+        found = dict[int, _Data]()
+        for places in _in_turn([self.contact_of[i] for i in numbers]):
+            chosen = [numbers[k] for k in places]
+            found |= zip(chosen, map_cases(partial(_at, work, chosen), len(chosen)), strict=True)
+        return found
 
     def _solve(self, number: int, youngs: Moduli, starts: Sequence[NodalField | None]) -> _GelPress:
         contact, sticking = self._touched[self.contact_of[number]], self._sticking.get(number)
@@ -446,6 +452,12 @@ class Rim:
         return lambda points: sizing(transform_points(inverse, points))
 
 
+def is_of_grasps(recording: Recording) -> bool:
+    """Whether forces on gels are measured, and no markers."""
+    gels = [press.gel for press in recording.presses]
+    return all(gel is not None and not len(gel.markers_mm) for gel in gels)
+
+
 def pressed(recording: Recording, youngs_mpa: float) -> Recording:
     """Return the presses in which, by their poses, the gel is pressed against the object."""
     problem = GelProblem(recording, youngs_mpa)
@@ -483,6 +495,18 @@ def _reading(press: Press) -> GelReading:
     if press.gel is None:
         raise ConfigError(f"{press.label} has no gel; give presses of a sensor with markers.")
     return press.gel
+
+
+def _at(work: Callable[[int], _Data], numbers: Sequence[int], k: int) -> _Data:
+    return work(numbers[k])
+
+
+def _in_turn(contacts: Sequence[int]) -> list[list[int]]:
+    """Return positions in rounds, in each of which no contact is twice."""
+    rounds = [list(contacts[:i]).count(contact) for i, contact in enumerate(contacts)]
+    return [
+        [i for i, at in enumerate(rounds) if at == k] for k in range(max(rounds, default=-1) + 1)
+    ]
 
 
 def _group(presses: Sequence[Press]) -> list[tuple[int, ...]]:

@@ -129,12 +129,6 @@ def gel_sites(mesh: TetMesh) -> Sites:
     return Sites.around(mesh, ELEMENTS[ELEMENT].points)
 
 
-def is_of_grasps(recording: Recording) -> bool:
-    """Whether forces on gels are measured, and no markers."""
-    gels = [press.gel for press in recording.presses]
-    return all(gel is not None and not len(gel.markers_mm) for gel in gels)
-
-
 def _first_mpa(recording: Recording) -> float:
     """Return a first modulus: that of the gels."""
     return float(max(press.gel.layer[1] for press in recording.presses if press.gel is not None))

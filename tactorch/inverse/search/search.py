@@ -25,12 +25,13 @@ from tactorch.inverse.fields import ShapeField
 from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites
+from tactorch.inverse.forward.gel import is_of_grasps
 from tactorch.inverse.forward.palpation import is_palpation
 from tactorch.inverse.forward.predictions import Predictions
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import Alternative, ShapeReconstruction
 from tactorch.inverse.search.base import SearchProblem
-from tactorch.inverse.search.gel import GraspSearch, is_of_grasps
+from tactorch.inverse.search.gel import GraspSearch
 from tactorch.inverse.search.model import (
     MAX_LOG_ODDS,
     MIN_GAIN,
