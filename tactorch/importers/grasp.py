@@ -41,10 +41,8 @@ from tactorch.touch.coupled import Coupled
 from tactorch.touch.pairing import face_each_other
 
 _log = logging.getLogger(__name__)
-# Stiffness of the springs that hold a free object, over that of the grasp: of all nodes, and of
-# those in the middle along the grasp. Between faces without friction, with which the search for an
-# equilibrium begins, the object would turn; in the middle nodes hardly move along the grasp.
-_SOFT, _MIDDLE, _MIDDLE_WIDTH = 0.02, 6.0, 0.03
+# Stiffness of the springs that hold a free object, over that of a grasp.
+_SOFT = 0.01
 # Depth of a reference over the gel's thickness: the largest, and that of the first trial, from
 # which others follow by a power of the force.
 _DEEPEST, _FIRST, _POWER, _TRIALS = 0.55, 0.2, 1.7, 8
@@ -119,7 +117,10 @@ class GraspOptions(GraspColumns):
             self.gel_thickness_mm, self.gel_youngs_mpa, self.gel_poisson, self.gel_size_mm
         )
         opening, mesh = self._opening(layer), self._mesh()
-        presses = [self._press(hold, opening, layer, mesh, str(path)) for hold in holds]
+        size = float(np.ptp(mesh.points[:, "xyz".index(self.along)]))
+        stiffness = float(np.median([hold.force_n for hold in holds])) / size
+        springs = np.full(mesh.points.shape, _SOFT * stiffness / mesh.n_points)
+        presses = [self._press(hold, opening, layer, mesh, springs, str(path)) for hold in holds]
         provenance = {
             "importer": "grasp", "file": Path(path).name, "offset_mm": opening.offset_mm,
             "offset_by_log_modulus_mm": opening.by_modulus_mm,
@@ -155,6 +156,11 @@ class GraspOptions(GraspColumns):
 
     def _opening(self, layer: GelLayer) -> Opening:
         """Return the offset of the width, by the reference or as stated."""
+        if self.offset_mm is not None and (self.reference or self.compliance_mm_per_n):
+            raise ConfigError(
+                "format.offset_mm is instead of format.reference and format.compliance_mm_per_n; "
+                "leave these out."
+            )
         if self.reference is None:
             if self.offset_mm is None:
                 raise ConfigError(
@@ -166,13 +172,15 @@ class GraspOptions(GraspColumns):
             raise ConfigError("format.reference_mm is required: the size of the rigid object.")
         holds = [self.hold(file) for file in press_files(self.reference, SUFFIXES, "table")]
         found = [self._by_reference(hold, layer, self.reference_mm) for hold in holds]
+        forces = np.array([one.force_n for one in found])
         offsets = np.array([one.offset_mm for one in found])
+        offsets -= self.compliance_mm_per_n * (forces - forces.mean())
         spread = float(offsets.std()) if len(found) > 1 else 0.0
         return Opening(
             float(offsets.mean()),
             float(np.mean([one.by_modulus_mm for one in found])),
             float(np.hypot(self.offset_deviation_mm, spread)),
-            float(np.mean([one.force_n for one in found])),
+            float(forces.mean()),
         )
 
     def _by_reference(self, hold: Hold, layer: GelLayer, size_mm: float) -> Opening:
@@ -197,7 +205,13 @@ class GraspOptions(GraspColumns):
         return Opening(offset, -2.0 * by_modulus, 0.0, hold.force_n)
 
     def _press(
-        self, hold: Hold, opening: Opening, layer: GelLayer, mesh: TetMesh, source: str
+        self,
+        hold: Hold,
+        opening: Opening,
+        layer: GelLayer,
+        mesh: TetMesh,
+        springs: Float[np.ndarray, "n 3"],
+        source: str,
     ) -> Press:
         axis = "xyz".index(self.along)
         low, high = mesh.bounds
@@ -213,8 +227,8 @@ class GraspOptions(GraspColumns):
             )
         if closed > _LARGE * size:
             _log.warning(
-                "'%s': the object is pressed together by %.0f %% of its size. Its modulus is that "
-                "of a neo-Hookean solid at this strain; hardness and small strains may give "
+                "'%s': object and gels yield by %.0f %% of the size of the object. Its modulus is "
+                "that of a neo-Hookean solid at this strain; hardness and small strains may give "
                 "another.",
                 hold.name, 100.0 * closed / size,
             )  # fmt: skip
@@ -224,8 +238,9 @@ class GraspOptions(GraspColumns):
                 "creeps, and its modulus is that of this time.", hold.name, hold.creep_mm,
             )  # fmt: skip
         _log.info(
-            "'%s': %.3g N at a width of %.4g mm, %.3g mm less than the object; widths are %.2g s "
-            "later than forces.", hold.name, hold.force_n, hold.width_mm, closed, hold.lag_s,
+            "'%s': %.3g N at a width of %.4g mm, to which object and gels yield by %.3g mm; widths "
+            "are %.2g s later than forces.",
+            hold.name, hold.force_n, hold.width_mm, closed, hold.lag_s,
         )  # fmt: skip
         first, pose = (_pose(middle, axis, distance) for distance in (size, apart))
         # Widths of a hold are wrong independently; forces rise with the power 1.5 (Hertz).
@@ -233,7 +248,6 @@ class GraspOptions(GraspColumns):
         deviation = np.linalg.norm(
             [self.force_deviation * hold.force_n, hold.force_deviation_n, by_width]
         )
-        springs = _free(mesh, axis, hold.force_n / closed)
         constant, none = partial(constant_field, n_points=mesh.n_points), np.zeros((0, 2))
         return Press(
             constant("forces"),
@@ -308,16 +322,6 @@ def rigid_depth(layer: GelLayer, shape: Shape, force_n: float) -> tuple[float, f
         last, depth = (depth, force), min(depth * float(np.exp(miss / power)), deepest)
     # The force of a rigid object is proportional to the modulus of the gels.
     return depth * float(np.exp(miss / power)), -depth / power
-
-
-def _free(mesh: TetMesh, axis: int, stiffness: float) -> Float[np.ndarray, "n 3"]:
-    """Return the springs of an object that is held by a grasp of a stiffness (N/mm) alone."""
-    springs = np.full(mesh.points.shape, _SOFT * stiffness / mesh.n_points)
-    along, (low, high) = mesh.points[:, axis], mesh.bounds[:, axis]
-    off = np.abs(along - 0.5 * (low + high))
-    middle = off <= max(_MIDDLE_WIDTH * float(high - low), float(np.partition(off, 3)[3]))
-    springs[middle, axis] += _MIDDLE * stiffness / middle.sum()
-    return springs
 
 
 def _pose(middle: Float[np.ndarray, "3"], axis: int, apart_mm: float) -> Float[np.ndarray, "4 4"]:

@@ -20,8 +20,9 @@ from tactorch.importers.sheets import read_sheet
 GRASP_UNITS = {"time": {"s": 1.0, "ms": 1e-3}, "force": FORCES, "width": LENGTHS}
 _NAMES = {"time": "time_s", "force": "force_n", "width": "width_mm"}
 _WINDOW_S = 0.1  # over which rates are taken
-_QUIET = 0.15  # rate of force and width over the largest, below which the gripper holds
-_FIRM = 0.5  # force over the largest, above which it is closed
+# Rate of force and width over the largest of the closing gripper, below which it holds.
+_QUIET = 0.15
+_FIRM = 0.8  # force over the largest, above which it is closed
 _MIN_ROWS = 4
 _LAGS_S = 1.0  # largest lag of the widths
 _MAX_N, _MAX_MM = 2e3, 1e3  # beyond which a unit is wrong
@@ -93,8 +94,10 @@ def find_hold(
     """Return the longest part of a grasp in which force and width hardly change."""
     _check(path, time_s, force_n, width_mm)
     lag = _lag(time_s, force_n, width_mm)
-    rates = [np.abs(_rate(time_s, values)) for values in (force_n, width_mm)]
-    quiet = np.logical_and.reduce([rate <= _QUIET * rate.max() for rate in rates])
+    quiet = np.ones(len(time_s), dtype=bool)
+    for values, closed in ((force_n, force_n.argmax()), (width_mm, width_mm.argmin())):
+        rate = np.abs(_rate(time_s, values))
+        quiet &= rate <= _QUIET * rate[: closed + 1].max()  # while the gripper closes
     quiet &= force_n > _FIRM * force_n.max()
     first, last = _longest(quiet)
     if last - first < _MIN_ROWS:
@@ -118,8 +121,16 @@ def _check(
     force_n: Float[np.ndarray, " k"],
     width_mm: Float[np.ndarray, " k"],
 ) -> None:
-    if len(time_s) <= _MIN_ROWS or (np.diff(time_s) <= 0.0).any():
-        raise FileError(f"'{path}': time has to rise over more than {_MIN_ROWS} rows.")
+    if len(time_s) <= _MIN_ROWS:
+        raise FileError(
+            f"'{path}': {len(time_s)} rows have a time, a force and a width; more than {_MIN_ROWS} "
+            "are needed."
+        )
+    if (np.diff(time_s) <= 0.0).any():
+        last = float(time_s[int((np.diff(time_s) <= 0.0).argmax())])
+        raise FileError(f"'{path}': time does not rise after {last:g} s; remove repeated rows.")
+    if not np.ptp(width_mm):
+        raise FileError(f"'{path}': the width is {width_mm[0]:g} mm in all rows.")
     if force_n.max() <= 0.0:
         raise FileError(
             f"'{path}': the largest force is {force_n.max():.3g} N; forces of a closing gripper "

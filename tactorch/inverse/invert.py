@@ -117,8 +117,6 @@ def invert(
 
     of_grasps = is_of_grasps(recording)
     if settings.method == "map":
-        if of_grasps:
-            raise ConfigError("method=map: forces of grasps have no element map; leave it out.")
         return element_map()
     try:
         found = _find(recording, settings, search)
@@ -299,6 +297,11 @@ class ObjectiveBuilder:
     def __init__(self, recording: Recording, settings: Settings) -> None:
         self.settings = settings
         self._palpation = is_palpation(recording)
+        if is_of_grasps(recording):
+            raise ConfigError(
+                "Forces of grasps have no element map (method=map); tactorch invert gives the "
+                "modulus and inclusions."
+            )
         element = PALPATION_ELEMENT if self._palpation else settings.element
         self._body = make_body(recording, element, settings.solver, settings.newton)
         name = resolve_model_error(settings.model_error, recording, element)

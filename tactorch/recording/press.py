@@ -254,8 +254,9 @@ class Press:
                 "force is measured, but there is no probe and no support is moved; give 'probe' or"
                 " 'prescribed'"
             )
-        if self.gel is not None and self.force is None and not len(self.gel.markers_mm):
-            raise self._error("the gel has no markers and no force is measured; give one of both")
+        if self.gel is not None and (self.force is None) == (not len(self.gel.markers_mm)):
+            has = "no markers and no force is" if self.force is None else "markers and a force is"
+            raise self._error(f"the gel has {has} measured; give one of both")
         if self.has_readings:
             return
         if not self.observed.any():

@@ -241,19 +241,34 @@ class GelReading:
 
     def __post_init__(self) -> None:
         count = len(np.atleast_1d(self.markers_mm))
+        shapes = {
+            "markers_mm": (count, 2),
+            "displacement_mm": (count, 2),
+            "deviations_mm": (count,),
+        }
         if count:
-            shapes = {"markers_mm": (count, 2), "displacement_mm": (count, 2)}
-            _set(self, "gel", **shapes, deviations_mm=(count,))
+            _set(self, "gel", **shapes)
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, make_array(getattr(self, name), shape, f"gel: {name}"))
         _set(self, "gel", pose=(4, 4), first_pose=(4, 4), uncertain=(3,))
         _require_deviations(self.deviations_mm, "gel")
         for name, length in (("layer", 7), ("opposed", 2)):
             array = make_array(getattr(self, name), (length,), f"gel: {name}")
             object.__setattr__(self, name, array)
+        self._check_opposed()
         require_finite(self.layer[:3], "gel: thickness, Young's modulus and Poisson's ratio")
         if (self.uncertain < 0.0).any():
             raise RecordingError(
                 f"gel: uncertain has {self.uncertain.min():g}; give standard deviations of at "
                 "least 0"
+            )
+
+    def _check_opposed(self) -> None:
+        both = np.isfinite(self.opposed)
+        if both.any() and not (both.all() and self.opposed[0] > 0.0):
+            raise RecordingError(
+                f"gel: opposed is {self.opposed.tolist()}; give a positive distance and its change,"
+                " or NaN for both"
             )
 
     @property

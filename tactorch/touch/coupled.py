@@ -10,6 +10,7 @@ from tactorch.config import to_mapping
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions, Supports, make_material
 from tactorch.fem.assembly import Assembly
+from tactorch.fem.boundary import CaseSupports
 from tactorch.fem.contact.contact import RELATIVE_STIFFNESS
 from tactorch.fem.contact.pair import PairContact
 from tactorch.fem.newton import EquilibriumResult, Newton
@@ -24,6 +25,8 @@ _FIRST_RTOL = 1e-3  # of the forces without friction
 # Pairs of a first guess: those whose gap is less than this share of the depth. Contacts extend to
 # gaps of half the depth (Hertz), and of all of it under a thin gel.
 _TOUCHED, _GUESS_RTOL = 0.6, 0.02
+# Springs that keep a free body upright, over its modulus times its size, and the part of it.
+_MIDDLE, _MIDDLE_WIDTH = 3.0, 0.03
 _STRIDE = 0.5  # of a first guess, over the thickness of the gel
 
 
@@ -123,6 +126,7 @@ class Coupled:
             springs = np.concatenate([supports.springs, np.zeros((len(window), 3))])
         held = Supports(fixed=np.concatenate([fixed, window]), springs=springs)
         self.supports = held.case(0, self.parts)
+        self._upright = self.supports if fixed.any() else self._with_springs(body, body_mpa)
         vertices = np.arange(self.parts.mesh.n_points) >= body.n_points
         on_gel = np.concatenate([vertices, vertices[self.parts.edges[:, 0]]])
         self.body_rows: Int[np.ndarray, " b"] = np.flatnonzero(~on_gel)
@@ -131,6 +135,18 @@ class Coupled:
         self.opposed: Bool[np.ndarray, " p"] = facing.opposed[near]
         corners = body.points[body.surface.triangles[facing.faces[near]]]
         self.body_points = np.einsum("pc,pcd->pd", facing.barycentric[near], corners)
+
+    def _with_springs(self, body: TetMesh, body_mpa: float) -> CaseSupports:
+        """Return supports that keep a free body from turning between gels without friction.
+
+        They are along z and in the middle, which hardly moves along z, and for a first solution.
+        """
+        z = self.parts.mesh.points[: body.n_points, 2]
+        off, size = np.abs(z - 0.5 * (z.min() + z.max())), float(np.ptp(z))
+        middle = np.flatnonzero(off <= max(_MIDDLE_WIDTH * size, float(np.partition(off, 3)[3])))
+        springs = self.supports.springs.copy()
+        springs[middle, 2] += _MIDDLE * body_mpa * size / len(middle)
+        return self.supports._replace(springs=springs)
 
     def forget(self) -> None:
         """Free the factorisations of earlier solutions, which take gigabytes on fine meshes."""
@@ -177,7 +193,7 @@ class Coupled:
         rtol = self._rtol if is_last else _FIRST_RTOL
         if sticking is None:
             newton, start = self._guess(contact, youngs, start)
-            newton = self._search(contact, youngs, rtol, newton)
+            newton = self._search(contact, youngs, rtol, newton, self._upright)
         else:
             newton = self._search(contact, youngs, rtol)
         result = newton.run(start)
@@ -214,7 +230,7 @@ class Coupled:
                 return None, start
             gaps = np.where(far, pairs.gaps_mm + _REACH * depth, pairs.gaps_mm)
             moved = replace(moved, pairs=replace(pairs, gaps_mm=gaps))
-            newton = self._search(moved, youngs, _GUESS_RTOL, newton)
+            newton = self._search(moved, youngs, _GUESS_RTOL, newton, self._upright)
             start = newton.run(start).displacement
         return newton, start
 
@@ -224,10 +240,11 @@ class Coupled:
         youngs: Float[np.ndarray, "m2 q"],
         rtol: float,
         after: Newton | None = None,
+        supports: CaseSupports | None = None,
     ) -> Newton:
         options, nothing = NewtonOptions(rtol=rtol), np.zeros((self.parts.n_nodes, 3))
         return Newton(
-            self.assembly, self.pool, youngs, nothing, self.supports, options, after,
+            self.assembly, self.pool, youngs, nothing, supports or self.supports, options, after,
             contact=contact,
         )  # fmt: skip
 

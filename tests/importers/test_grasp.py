@@ -8,7 +8,7 @@ import pytest
 from tactorch.errors import ConfigError, FileError
 from tactorch.importers import import_grasp
 from tactorch.importers.grasp import rigid_depth
-from tactorch.importers.holds import GraspColumns
+from tactorch.importers.holds import GraspColumns, find_hold
 from tactorch.mesh import Box, Sphere
 from tactorch.recording import Recording
 from tactorch.sensor.description import GelLayer
@@ -38,6 +38,30 @@ def test_hold_pairs_force_and_width_although_widths_are_late(tmp_path: Path, lag
     assert hold.time_s[1] < 1.55
 
 
+def test_slow_closing_is_no_hold(tmp_path: Path) -> None:
+    time = np.arange(0.0, 3.0, 1.0 / RATE)
+    force = np.interp(time, [0.0, 2.0, 2.6, 2.7], [0.0, 4.0, 4.0, 0.0])
+    width = np.interp(time, [0.0, 2.0, 2.6, 2.7], [8.0, 3.5, 3.5, 8.0])
+    hold = find_hold(tmp_path / "a.csv", time, force, width)
+    assert (hold.force_n, hold.width_mm) == pytest.approx((4.0, 3.5), abs=0.05)
+
+
+def test_compliance_is_of_the_force_beyond_that_of_the_references(tmp_path: Path) -> None:
+    """Two references whose widths differ by as much as the fingers bend have one offset."""
+    folder = tmp_path / "references"
+    folder.mkdir()
+    usual = {**CUBE, "offset_mm": None, "reference": folder, "reference_shape": "box",
+             "reference_mm": 6.0, "gel_thickness_mm": 2.0, "gel_size_mm": (5.0, 5.0)}  # fmt: skip
+    write(folder / "one.csv", force_n=1.0)
+    path = write(tmp_path / "a.csv", force_n=2.0)
+    plain, bent = (
+        import_grasp(path, **usual, compliance_mm_per_n=c)  # type: ignore[arg-type]
+        for c in (0.0, 0.1)
+    )
+    before, after = (r.presses[0].gel.pose[0, 3] for r in (plain, bent))  # type: ignore[union-attr]
+    assert after - before == pytest.approx(-0.5 * 0.1 * 1.0, abs=2e-3)  # farther from the middle
+
+
 def test_table_of_a_gripper_that_does_not_hold_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileError, match=r"a\.csv.*less than 4 rows.*Hold the object"):
         GraspColumns().hold(write(tmp_path / "a.csv", lag_s=0.3, hold_s=0.2))
@@ -63,8 +87,8 @@ def test_implausible_tables_are_refused(
 def test_grasps_of_a_folder_are_presses_between_two_gels(tmp_path: Path) -> None:
     folder = tmp_path / "grasps"
     folder.mkdir()
-    for name in ("b10.csv", "b9.csv"):
-        write(folder / name)
+    for name, force_n in (("b10.csv", 4.0), ("b9.csv", 4.2)):
+        write(folder / name, force_n=force_n)
     recording = import_grasp(folder, **CUBE, along="y")
     assert [press.name for press in recording.presses] == ["b9", "b10"]
     press = recording.presses[0]
@@ -73,8 +97,10 @@ def test_grasps_of_a_folder_are_presses_between_two_gels(tmp_path: Path) -> None
     # The faces are at 3.5 + 1.5 mm: each gel moves by half a millimetre, toward y.
     moved = press.gel.pose[:3, 3] - press.gel.first_pose[:3, 3]
     assert moved == pytest.approx([0.0, 0.5, 0.0], abs=0.03)
-    assert press.total_force == pytest.approx([0.0, 4.0, 0.0], abs=0.05)
-    assert (press.springs.sum(axis=0).argmax(), press.fixed.any()) == (1, False)
+    assert press.total_force == pytest.approx([0.0, 4.2, 0.0], abs=0.05)
+    assert not press.fixed.any()
+    # The error of the offset is common to both: they are presses of one contact.
+    np.testing.assert_array_equal(press.springs, recording.presses[1].springs)
     recording.save(tmp_path / "grasps.h5")
     assert len(Recording.load(tmp_path / "grasps.h5").presses) == 2
 
@@ -86,6 +112,7 @@ def test_grasps_of_a_folder_are_presses_between_two_gels(tmp_path: Path) -> None
         ({"size_mm": (6.0,)}, ConfigError, r"a box has 3 sizes"),
         ({"offset_mm": 9.0}, FileError, r"12\.\d* mm apart, and the object is 6 mm wide along x"),
         ({"shape": "mesh"}, ConfigError, r"format\.mesh is required"),
+        ({"compliance_mm_per_n": 0.1}, ConfigError, r"format\.offset_mm is instead of"),
     ],
 )
 def test_settings_that_do_not_fit_are_refused(

@@ -24,10 +24,15 @@ LAYER = GelLayer(2.0, 0.15, 0.45, size_mm=(8.0, 8.0))
 MATERIAL = MaterialSpec("neo_hookean", 0.45)
 
 
-def middle_springs(mesh: TetMesh, soft: float = 1e-4) -> np.ndarray:
-    springs = np.full(mesh.points.shape, soft / mesh.n_points)
-    springs[np.abs(mesh.points[:, 2]) < 1e-9, 2] += 10.0 * soft
-    return springs
+def soft_springs(mesh: TetMesh) -> np.ndarray:
+    """Springs of a hundredth of the stiffness of a cube."""
+    return np.full(mesh.points.shape, 0.01 * YOUNGS * SIZE / mesh.n_points)
+
+
+def tapered(mesh: TetMesh) -> TetMesh:
+    points = mesh.points.copy()
+    points[:, :2] *= 0.7 - 0.6 * points[:, 2:] / SIZE
+    return TetMesh.create(points, mesh.tets)
 
 
 def coupled(layer: GelLayer, cells: int, depth: float, sticks: bool = True) -> Coupled:
@@ -39,7 +44,7 @@ def coupled(layer: GelLayer, cells: int, depth: float, sticks: bool = True) -> C
     facing = face_each_other(mesh, box, gel, pose, opening_mm=SIZE + 0.5)
     assert facing is not None
     assert facing.first_touch[1] == pytest.approx(0.25)  # the mean of 0.2 and 0.3
-    free = Supports(fixed=np.zeros(mesh.points.shape, bool), springs=middle_springs(mesh))
+    free = Supports(fixed=np.zeros(mesh.points.shape, bool), springs=soft_springs(mesh))
     return Coupled(
         facing, mesh, gel, MATERIAL, free, body_mpa=YOUNGS, depth_mm=depth, sticks=sticks
     )
@@ -60,6 +65,18 @@ def test_cube_between_rigid_gels_has_the_force_of_uniaxial_compression() -> None
     assert force(both, depth) == pytest.approx(0.2 * YOUNGS * SIZE**2, rel=0.01)
 
 
+def test_both_gels_press_a_tapered_object_with_the_same_force() -> None:
+    mesh, gel = tapered(box_mesh(SIZE, 4, center_mm=(0.0, 0.0, 0.0))), GelMesh(LAYER, 2.0, 2)
+    pose = np.eye(4)
+    pose[2, 3] = -0.5 * SIZE
+    facing = face_each_other(mesh, mesh, gel, pose, opening_mm=SIZE)
+    assert facing is not None
+    free = Supports(fixed=np.zeros(mesh.points.shape, bool), springs=soft_springs(mesh))
+    both = Coupled(facing, mesh, gel, MATERIAL, free, body_mpa=YOUNGS, depth_mm=0.6)
+    first, second = force(both, 0.6)
+    assert first == pytest.approx(second, rel=0.02)
+
+
 def grasp(mesh: TetMesh, force_n: float, depth: float = 0.5, **changes: object) -> Press:
     first, pose = np.eye(4), np.eye(4)
     first[2, 3] = -0.5 * SIZE
@@ -71,7 +88,7 @@ def grasp(mesh: TetMesh, force_n: float, depth: float = 0.5, **changes: object) 
     )  # fmt: skip
     fields = [constant_field(n, mesh.n_points) for n in ("forces", "observed", "displacement")]
     usual: dict[str, object] = {
-        "springs": middle_springs(mesh), "gel": reading, "name": "grasp",
+        "springs": soft_springs(mesh), "gel": reading, "name": "grasp",
         "force": ForceReading.along((0.0, 0.0, -1.0), force_n, 0.01 * force_n),
     }  # fmt: skip
     return Press(*fields, **{**usual, **changes})  # type: ignore[arg-type]
@@ -96,6 +113,27 @@ def test_gel_without_markers_and_force_is_refused() -> None:
     mesh = box_mesh(SIZE, 4, center_mm=(0.0, 0.0, 0.0))
     with pytest.raises(RecordingError, match="no markers and no force"):
         grasp(mesh, 1.0, force=None)
+    reading = grasp(mesh, 1.0).gel
+    assert reading is not None
+    with pytest.raises(RecordingError, match=r"opposed is .* positive distance"):
+        replace(reading, opposed=np.array([6.0, np.nan]))
+
+
+def test_grasps_and_other_presses_of_a_gel_are_separate_recordings() -> None:
+    mesh = box_mesh(SIZE, 4, center_mm=(0.0, 0.0, 0.0))
+    press = grasp(mesh, 1.0)
+    assert press.gel is not None
+    one = np.zeros((1, 2))
+    marked = replace(press.gel, markers_mm=one, displacement_mm=one, deviations_mm=np.ones(1))
+    with pytest.raises(RecordingError, match="markers and a force"):
+        replace(press, gel=marked)
+    shape = mesh.points.shape
+    other = replace(
+        press, force=None, gel=marked, observed=np.ones(shape, bool),
+        displacement=np.full(shape, 0.1), forces=np.full(shape, 0.01),
+    )  # fmt: skip
+    with pytest.raises(ConfigError, match="grasps as a separate recording"):
+        invert(Recording(mesh, (press, other), MATERIAL))
 
 
 def test_derivatives_of_the_force_are_those_of_differences() -> None:
@@ -160,8 +198,24 @@ def test_modulus_of_a_cube_is_found_from_the_force_of_a_grasp() -> None:
 
 
 def test_grasps_have_no_element_map() -> None:
-    with pytest.raises(ConfigError, match="method=map"):
+    with pytest.raises(ConfigError, match=r"method=map"):
         invert(recording(), Settings(method="map"))
+
+
+def test_displacements_of_a_grasp_are_in_the_frame_of_the_object() -> None:
+    mesh = box_mesh(SIZE, 3, center_mm=(0.0, 0.0, 0.0))
+    press = grasp(mesh, 1.0)
+    assert press.gel is not None
+    turn = np.eye(4)
+    turn[:3, :3] = np.roll(np.eye(3), 1, axis=0)  # z of the sensor is x of the object
+    poses = {name: turn @ getattr(press.gel, name) for name in ("pose", "first_pose")}
+    reading = ForceReading.along((-1.0, 0.0, 0.0), 1.0, 0.01)
+    turned = replace(press, gel=replace(press.gel, **poses), force=reading)
+    problem = GelProblem(Recording(mesh, (turned,), MATERIAL), YOUNGS)
+    evaluation = problem.evaluate(np.full(gel_sites(mesh).shape, YOUNGS))
+    moved = evaluation.on_object[0][: mesh.n_points]
+    assert np.corrcoef(moved[:, 0], mesh.points[:, 0])[0, 1] < -0.9
+    assert evaluation.predicted[0][0] > 0.0
 
 
 def test_force_of_a_rigid_object_is_refused() -> None:

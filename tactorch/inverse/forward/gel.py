@@ -54,7 +54,6 @@ _DIGITS = 6  # of rest positions (mm) by which markers are the same
 # Share of the variance of a marker's error that all presses have in common: that of the marker at
 # rest, whose place among the pixels it has in each of them. Half of it in rendered images.
 _AT_REST = 0.5
-_ALONG_AXES = 1e-6  # error of a rotation by quarter turns
 _MAX_TURN = np.deg2rad(1.0)  # of the sensor between first contact and a press
 
 
@@ -65,6 +64,7 @@ class _Readings:
     markers: sp.csr_matrix  # from the displacements of all nodes (flat, mm) to those of markers
     axes: Float[np.ndarray, "k 3"]  # components, in the frame of the sensor
     opposed: Bool[np.ndarray, " p"]  # pairs of another gel
+    turn: Float[np.ndarray, "3 3"]  # from the frame of the sensor to that of the object
 
     @property
     def n_data(self) -> int:
@@ -139,6 +139,14 @@ class GelEvaluation(Evaluation):
 
     def _of_press(self, changes: Changes, number: int) -> Changes:
         return self._presses[number].coupled.body_changes(changes)
+
+    @property
+    def on_object(self) -> list[NodalField]:
+        """Displacement of the object's nodes in each press, mm, in the frame of the object."""
+        return [
+            press.state.displacement[press.coupled.body_rows] @ press.readings.turn.T
+            for press in self._presses
+        ]
 
     def jacobian(self) -> Float[np.ndarray, "data moduli"]:
         """Return d residuals / d youngs of the object, 1/MPa."""
@@ -453,9 +461,19 @@ class Rim:
 
 
 def is_of_grasps(recording: Recording) -> bool:
-    """Whether forces on gels are measured, and no markers."""
+    """Whether forces on gels are measured, and no markers.
+
+    Raises:
+        ConfigError: they are in some presses only.
+    """
     gels = [press.gel for press in recording.presses]
-    return all(gel is not None and not len(gel.markers_mm) for gel in gels)
+    without = [gel is not None and not len(gel.markers_mm) for gel in gels]
+    if any(without) and not all(without):
+        raise ConfigError(
+            f"{recording.presses[without.index(True)].label} has a force on a gel, and other "
+            "presses have none; give grasps as a separate recording."
+        )
+    return all(without)
 
 
 def pressed(recording: Recording, youngs_mpa: float) -> Recording:
@@ -551,22 +569,14 @@ def _make_contact(
 
 
 def _supports(press: Press) -> Supports:
-    """Return the supports in the frame of the sensor at first contact."""
+    """Return the supports in any frame."""
     if press.prescribed.any():
         raise ConfigError(f"{press.label}: prescribed moves the supports; move the gel instead.")
-    turn = np.abs(_reading(press).first_pose[:3, :3])
-    is_along_axes = np.abs(turn - np.round(turn)).max() < _ALONG_AXES
-    turned = {name: getattr(press, name) for name in ("fixed", "springs")}
-    for name, values in turned.items():
-        if is_along_axes:
-            turned[name] = values[:, np.argmax(turn, axis=0)]
-        elif (values != values[:, :1]).any():
-            raise ConfigError(
-                f"{press.label}: {name} differ along axes, and the sensor is not along these; give "
-                "the same along all."
-            )
-    springs = turned["springs"]
-    return Supports(fixed=turned["fixed"], springs=springs if springs.any() else None)
+    for name in ("fixed", "springs"):
+        values = getattr(press, name)
+        if (values != values[:, :1]).any():
+            raise ConfigError(f"{press.label}: {name} differ along axes; give the same along all.")
+    return Supports(fixed=press.fixed, springs=press.springs if press.springs.any() else None)
 
 
 def _motion(press: Press, facing: Facing) -> Float[np.ndarray, "3"]:
@@ -602,7 +612,8 @@ def _make_readings(contact: _Contact, press: Press) -> _Readings:
         if press.force.axes[:, 3:].any():
             raise ConfigError(f"{press.label}: moments on a gel are not known; give its force.")
         axes = press.force.axes[:, :3] @ reading.pose[:3, :3]
-    return _Readings(_marker_rows(contact, reading), axes, contact.coupled.opposed)
+    turn = reading.first_pose[:3, :3]
+    return _Readings(_marker_rows(contact, reading), axes, contact.coupled.opposed, turn)
 
 
 def _marker_rows(contact: _Contact, reading: GelReading) -> sp.csr_matrix:

@@ -28,7 +28,7 @@ class Predictions(NamedTuple):
         n = recording.mesh.n_points
         correction = observed_data(recording.presses) - evaluation.data.values
         return Predictions(
-            np.array([u[:n] for u in evaluation.displacements]).reshape(-1, n, 3),
+            np.array([u[:n] for u in evaluation.on_object]).reshape(-1, n, 3),
             np.concatenate(evaluation.predicted) + correction,
             np.concatenate(evaluation.deviations),
         )

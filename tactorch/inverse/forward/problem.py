@@ -137,6 +137,11 @@ class Evaluation:
         return [press.equilibrium.displacement for press in self._presses]
 
     @property
+    def on_object(self) -> list[NodalField]:
+        """Predicted displacement of the object's nodes in each press, mm."""
+        return self.displacements
+
+    @property
     def reported(self) -> list[Float[np.ndarray, "n 3"]]:
         """Predicted displacement that the sensor reports, each press, mm."""
         return [press.reported for press in self._presses]

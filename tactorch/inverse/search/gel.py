@@ -26,7 +26,7 @@ from tactorch.touch.pairing import ELEMENT
 _STEPS, _LARGEST, _CLOSE = 12, 1.5, 0.05  # steps of the log of a uniform modulus
 # Modulus over that of the gels beyond which the object is rigid: another one changes the force of
 # a grasp by less than its deviation.
-_RIGID = 1e3
+_RIGID = 1e2
 
 
 class GelSearch(SearchProblem):
@@ -109,13 +109,19 @@ class GraspSearch(GelSearch):
             step = -float(column @ evaluation.residuals) / max(float(column @ column), 1e-12)
             if abs(step) < _CLOSE:
                 return evaluation
-            if log >= highest and step > 0.0:
+            if log >= highest and step > 0.0 and highest < np.log(bounds.upper):
                 raise ConvergenceError(
                     f"With {np.exp(log):.3g} MPa the object is rigid beside the gels, and the "
                     "measured forces are larger still: the gripper is wider, or the gels are "
                     "stiffer, than stated. Check width and reference."
                 )
-            log = float(np.clip(log + np.clip(step, -_LARGEST, _LARGEST), None, highest))
+            lowest, before = np.log(bounds.lower), log
+            log = float(np.clip(log + np.clip(step, -_LARGEST, _LARGEST), lowest, highest))
+            if log == before:
+                raise ConvergenceError(
+                    f"The best modulus is beyond {np.exp(log):.3g} MPa, a bound of the settings "
+                    "(bounds.lower, bounds.upper). Check size, reference and units, or widen it."
+                )
             starts = evaluation.displacements
         return evaluation
 
