@@ -25,7 +25,7 @@ _FIRST_RTOL = 1e-3  # of the forces without friction
 # Pairs of a first guess: those whose gap is less than this share of the depth. Contacts extend to
 # gaps of half the depth (Hertz), and of all of it under a thin gel.
 _TOUCHED, _GUESS_RTOL = 0.6, 0.02
-# Springs that keep a free body upright, over its modulus times its size, and the part of it.
+# Springs that keep a body between gels upright, over its modulus times its size, and the part of it.
 _MIDDLE, _MIDDLE_WIDTH = 3.0, 0.03
 _STRIDE = 0.5  # of a first guess, over the thickness of the gel
 
@@ -126,7 +126,7 @@ class Coupled:
             springs = np.concatenate([supports.springs, np.zeros((len(window), 3))])
         held = Supports(fixed=np.concatenate([fixed, window]), springs=springs)
         self.supports = held.case(0, self.parts)
-        self._upright = self.supports if fixed.any() else self._with_springs(body, body_mpa)
+        self._upright = self._with_springs(body, body_mpa) if gels > 1 else self.supports
         vertices = np.arange(self.parts.mesh.n_points) >= body.n_points
         on_gel = np.concatenate([vertices, vertices[self.parts.edges[:, 0]]])
         self.body_rows: Int[np.ndarray, " b"] = np.flatnonzero(~on_gel)
@@ -137,7 +137,7 @@ class Coupled:
         self.body_points = np.einsum("pc,pcd->pd", facing.barycentric[near], corners)
 
     def _with_springs(self, body: TetMesh, body_mpa: float) -> CaseSupports:
-        """Return supports that keep a free body from turning between gels without friction.
+        """Return supports that keep a body from turning between gels without friction.
 
         They are along z and in the middle, which hardly moves along z, and for a first solution.
         """
