@@ -25,7 +25,7 @@ _FIRST_RTOL = 1e-3  # of the forces without friction
 # Pairs of a first guess: those whose gap is less than this share of the depth. Contacts extend to
 # gaps of half the depth (Hertz), and of all of it under a thin gel.
 _TOUCHED, _GUESS_RTOL = 0.6, 0.02
-# Springs that keep a body between gels upright, over its modulus times its size, and the part of it.
+# Springs that keep a body between gels upright, over its modulus times its size, and their part.
 _MIDDLE, _MIDDLE_WIDTH = 3.0, 0.03
 _STRIDE = 0.5  # of a first guess, over the thickness of the gel
 
