@@ -16,7 +16,7 @@ an object as stiff as the reference is, and is most important for the softest on
 """
 
 import logging
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -51,7 +51,6 @@ _CELLS, _LAYERS, _ACROSS = 12, 2, 4  # elements of a gel, and across a reference
 _OBJECT_ACROSS = 9  # elements across an object
 _LARGE = 0.2  # closing over the size of an object, from which its modulus is that of large strains
 _CREEP = 0.1  # change of the width while the gripper holds, over its closing, that is stated
-_FLAT = 1.5  # closing over the size of an object beyond which its size is wrong
 
 
 class Opening(NamedTuple):
@@ -83,12 +82,9 @@ class GraspOptions(GraspColumns):
         None, "Edge length of the mesh; null: a ninth of the object's size", unit="mm", gt=0
     )
     poisson: float = option(0.45, "Poisson's ratio of the object", gt=0, lt=0.5)
-    gel_thickness_mm: float = option(4.0, "Thickness of each gel", unit="mm", gt=0)
-    gel_size_mm: tuple[float, float] = option(
-        (20.0, 20.0), "Width and height of each gel, along the next two axes", unit="mm", gt=0
+    gel: GelLayer = option(
+        help="Gel of each finger, whose width and height are along the next two axes"
     )
-    gel_youngs_mpa: float = option(0.2, "Young's modulus of the gels", unit="MPa", gt=0)
-    gel_poisson: float = option(0.48, "Poisson's ratio of the gels", gt=0, lt=0.5)
     gel_deviation: float = option(
         0.3, "Standard deviation of the logarithm of the gels' modulus", ge=0
     )
@@ -113,23 +109,20 @@ class GraspOptions(GraspColumns):
     def __call__(self, *, path: str | Path) -> Recording:
         """Read a table, or a folder of tables; see `import_grasp`."""
         holds = [self.hold(file) for file in press_files(Path(path), SUFFIXES, "table")]
-        layer = GelLayer(
-            self.gel_thickness_mm, self.gel_youngs_mpa, self.gel_poisson, self.gel_size_mm
-        )
-        opening, mesh = self._opening(layer), self._mesh()
+        opening, mesh = self._opening(), self._mesh()
         size = float(np.ptp(mesh.points[:, "xyz".index(self.along)]))
         stiffness = float(np.median([hold.force_n for hold in holds])) / size
         springs = np.full(mesh.points.shape, _SOFT * stiffness / mesh.n_points)
-        presses = [self._press(hold, opening, layer, mesh, springs, str(path)) for hold in holds]
+        presses = [
+            self._press(hold, opening, self._apart(hold, opening, size, path), mesh, springs)
+            for hold in holds
+        ]
         provenance = {
             "importer": "grasp", "file": Path(path).name, "offset_mm": opening.offset_mm,
             "offset_by_log_modulus_mm": opening.by_modulus_mm,
-            "holds": [
-                {"name": h.name, "force_n": h.force_n, "width_mm": h.width_mm, "lag_s": h.lag_s,
-                 "creep_mm": h.creep_mm, "time_s": list(h.time_s)} for h in holds
-            ],
+            "holds": [asdict(hold) for hold in holds],
         }  # fmt: skip
-        material = MaterialSpec(layer.material, self.poisson)
+        material = MaterialSpec(self.gel.material, self.poisson)
         return Recording(mesh, tuple(presses), material, provenance=provenance)
 
     def _mesh(self) -> TetMesh:
@@ -149,12 +142,10 @@ class GraspOptions(GraspColumns):
             if self.shape == "ball"
             else Cylinder((0.0, 0.0, 0.0), size[0] / 2, size[1])
         )  # fmt: skip
-        edge = (
-            self.edge_mm or float(np.min(np.ptp(np.array(shape.bounds()), axis=0))) / _OBJECT_ACROSS
-        )
-        return mesh_shape(shape, edge, 0.1, "auto")
+        smallest = float(np.ptp(np.array(shape.bounds()), axis=0).min())
+        return mesh_shape(shape, self.edge_mm or smallest / _OBJECT_ACROSS, 0.1, "auto")
 
-    def _opening(self, layer: GelLayer) -> Opening:
+    def _opening(self) -> Opening:
         """Return the offset of the width, by the reference or as stated."""
         if self.offset_mm is not None and (self.reference or self.compliance_mm_per_n):
             raise ConfigError(
@@ -167,11 +158,11 @@ class GraspOptions(GraspColumns):
                     "format.reference is required: a grasp of a rigid object, with its size as "
                     "format.reference_mm; or give format.offset_mm."
                 )
-            return Opening(self.offset_mm, 0.0, self.offset_deviation_mm, np.nan)
+            return Opening(self.offset_mm, 0.0, self.offset_deviation_mm, 0.0)
         if self.reference_mm is None:
             raise ConfigError("format.reference_mm is required: the size of the rigid object.")
         holds = [self.hold(file) for file in press_files(self.reference, SUFFIXES, "table")]
-        found = [self._by_reference(hold, layer, self.reference_mm) for hold in holds]
+        found = [self._by_reference(hold, self.reference_mm) for hold in holds]
         forces = np.array([one.force_n for one in found])
         offsets = np.array([one.offset_mm for one in found])
         offsets -= self.compliance_mm_per_n * (forces - forces.mean())
@@ -183,8 +174,8 @@ class GraspOptions(GraspColumns):
             float(forces.mean()),
         )
 
-    def _by_reference(self, hold: Hold, layer: GelLayer, size_mm: float) -> Opening:
-        middle = (0.0, 0.0, 0.0)
+    def _by_reference(self, hold: Hold, size_mm: float) -> Opening:
+        middle, layer = (0.0, 0.0, 0.0), self.gel
         is_ball = self.reference_shape == "ball"
         shape = Sphere(middle, size_mm / 2) if is_ball else Box(middle, size_mm)
         try:
@@ -193,8 +184,8 @@ class GraspOptions(GraspColumns):
             raise ConfigError(
                 f"'{self.reference}': {hold.force_n:.3g} N press the rigid object through more "
                 f"than {_DEEPEST:.0%} of gels of {layer.thickness_mm:g} mm and "
-                f"{layer.youngs_mpa:g} MPa; check format.gel_youngs_mpa and "
-                f"format.gel_thickness_mm. ({error})"
+                f"{layer.youngs_mpa:g} MPa; check format.gel.youngs_mpa and "
+                f"format.gel.thickness_mm. ({error})"
             ) from error
         offset = size_mm - 2.0 * depth - hold.width_mm
         _log.info(
@@ -204,24 +195,14 @@ class GraspOptions(GraspColumns):
         )  # fmt: skip
         return Opening(offset, -2.0 * by_modulus, 0.0, hold.force_n)
 
-    def _press(
-        self,
-        hold: Hold,
-        opening: Opening,
-        layer: GelLayer,
-        mesh: TetMesh,
-        springs: Float[np.ndarray, "n 3"],
-        source: str,
-    ) -> Press:
-        axis = "xyz".index(self.along)
-        low, high = mesh.bounds
-        size, middle = float((high - low)[axis]), 0.5 * (low + high)
+    def _apart(self, hold: Hold, opening: Opening, size: float, path: str | Path) -> float:
+        """Return the distance of the faces of both gels at rest (mm); state what is unusual."""
         bent = self.compliance_mm_per_n * (hold.force_n - opening.force_n)
-        apart = hold.width_mm + opening.offset_mm + (bent if np.isfinite(bent) else 0.0)
+        apart = hold.width_mm + opening.offset_mm + bent
         closed = size - apart
-        if not 0.0 < closed < _FLAT * size:
+        if not 0.0 < apart < size:
             raise FileError(
-                f"'{source}': in '{hold.name}' the gels are {apart:.4g} mm apart, and the object is"
+                f"'{path}': in '{hold.name}' the gels are {apart:.4g} mm apart, and the object is"
                 f" {size:.4g} mm wide along {self.along}; check format.size_mm, "
                 "format.reference_mm and the unit of the width."
             )
@@ -242,9 +223,22 @@ class GraspOptions(GraspColumns):
             "are %.2g s later than forces.",
             hold.name, hold.force_n, hold.width_mm, closed, hold.lag_s,
         )  # fmt: skip
-        first, pose = (_pose(middle, axis, distance) for distance in (size, apart))
+        return apart
+
+    def _press(
+        self,
+        hold: Hold,
+        opening: Opening,
+        apart: float,
+        mesh: TetMesh,
+        springs: Float[np.ndarray, "n 3"],
+    ) -> Press:
+        low, high = mesh.bounds
+        axis = "xyz".index(self.along)
+        size = float((high - low)[axis])
+        first, pose = (_pose(0.5 * (low + high), axis, distance) for distance in (size, apart))
         # Widths of a hold are wrong independently; forces rise with the power 1.5 (Hertz).
-        by_width = 1.5 * hold.force_n * hold.width_deviation_mm / closed
+        by_width = 1.5 * hold.force_n * hold.width_deviation_mm / (size - apart)
         deviation = np.linalg.norm(
             [self.force_deviation * hold.force_n, hold.force_deviation_n, by_width]
         )
@@ -258,7 +252,7 @@ class GraspOptions(GraspColumns):
             name=hold.name,
             force=ForceReading.along(-pose[:3, 2], hold.force_n, float(deviation)),
             gel=GelReading(
-                layer.numbers, pose, first, none, none, np.zeros(0),
+                self.gel.numbers, pose, first, none, none, np.zeros(0),
                 np.array([self.gel_deviation, 0.5 * opening.deviation_mm, 0.0]),
                 np.array([size, opening.by_modulus_mm]),
             ),
@@ -308,10 +302,8 @@ def rigid_depth(layer: GelLayer, shape: Shape, force_n: float) -> tuple[float, f
     depth, power, last = _FIRST * layer.thickness_mm, _POWER, None
     for _ in range(_TRIALS):
         state = both.solve(youngs, np.array([0.0, 0.0, depth]), u)
-        u, force = (
-            state.displacement,
-            float(state.contact.pair_forces(state.displacement)[:, 2].sum()),
-        )
+        u = state.displacement
+        force = float(state.contact.pair_forces(u)[:, 2].sum())
         if last is not None:
             power = float(np.log(force / last[1]) / np.log(depth / last[0]))
         miss = float(np.log(force_n / force))

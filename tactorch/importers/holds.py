@@ -1,31 +1,42 @@
 """The part of a grasp in which the gripper holds: where force and width belong together.
 
 A robot reports widths at a lower rate than forces and later, so that rows of a moving gripper pair
-a force with the width of an earlier time. Where both are constant in the same rows, these widths
-were reported while the gripper held, too.
+a force with the width of an earlier time. Where the width is constant in rows of nearly the
+largest force, these widths were reported while the gripper held, too.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from tactorch.config import Options, option
-from tactorch.errors import ConfigError, FileError
-from tactorch.importers.quantities import FORCES, LENGTHS, assign
+from tactorch.errors import FileError
+from tactorch.importers.quantities import FORCES, LENGTHS
 from tactorch.importers.sheets import read_sheet
 
 #: Units of the columns of a grasp.
 GRASP_UNITS = {"time": {"s": 1.0, "ms": 1e-3}, "force": FORCES, "width": LENGTHS}
 _NAMES = {"time": "time_s", "force": "force_n", "width": "width_mm"}
 _WINDOW_S = 0.1  # over which rates are taken
-# Rate of force and width over the largest of the closing gripper, below which it holds.
-_QUIET = 0.15
-_FIRM = 0.8  # force over the largest, above which it is closed
+_QUIET = 0.15  # rate of the width over the largest of the closing gripper, below which it holds
+# Force over the largest, above which it is firm: a width of another time is then that of a force
+# which differs by a tenth at most.
+_FIRM = 0.9
 _MIN_ROWS = 4
 _LAGS_S = 1.0  # largest lag of the widths
 _MAX_N, _MAX_MM = 2e3, 1e3  # beyond which a unit is wrong
+
+
+class GraspRows(NamedTuple):
+    """Rows of a table of a grasp."""
+
+    path: Path
+    time_s: Float[np.ndarray, " k"]
+    force_n: Float[np.ndarray, " k"]
+    width_mm: Float[np.ndarray, " k"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +45,7 @@ class Hold:
 
     Attributes:
         name: Name of its table.
-        force_n, width_mm: Means, N and mm.
+        force_n, width_mm: Medians, N and mm.
         force_deviation_n, width_deviation_mm: Standard deviations of the rows.
         creep_mm: Change of the width from the first to the last row.
         lag_s: Time by which widths are later than forces.
@@ -69,58 +80,35 @@ class GraspColumns(Options):
             FileError: the table cannot be used, or the gripper holds nothing; names the file.
         """
         sheet = read_sheet(path, "grasp")
-        try:
-            found = assign(list(sheet.columns), self.columns or {}, self.units or {}, GRASP_UNITS)
-        except ConfigError as error:
-            raise ConfigError(f"'{path}': {error}") from error
-        missing = [name for name in _NAMES if name not in found]
-        if missing:
-            raise FileError(
-                f"'{path}' lacks the column {_NAMES[missing[0]]!r}; its columns are "
-                f"{', '.join(sheet.columns)}. Others are stated as in "
-                f"format.columns={{{missing[0]}: NAME}}."
-            )
-        time, force, width = (found[n][1] * sheet.numbers(found[n][0]) for n in _NAMES)
-        known = np.isfinite(time) & np.isfinite(force) & np.isfinite(width)
-        return find_hold(path, time[known], force[known], width[known])
+        found = sheet.assigned(self.columns, self.units, GRASP_UNITS, _NAMES, "grasp")
+        values = np.stack([found[n][1] * sheet.numbers(found[n][0]) for n in _NAMES])
+        return find_hold(GraspRows(path, *values[:, np.isfinite(values).all(axis=0)]))
 
 
-def find_hold(
-    path: Path,
-    time_s: Float[np.ndarray, " k"],
-    force_n: Float[np.ndarray, " k"],
-    width_mm: Float[np.ndarray, " k"],
-) -> Hold:
-    """Return the longest part of a grasp in which force and width hardly change."""
-    _check(path, time_s, force_n, width_mm)
-    lag = _lag(time_s, force_n, width_mm)
-    quiet = np.ones(len(time_s), dtype=bool)
-    for values, closed in ((force_n, force_n.argmax()), (width_mm, width_mm.argmin())):
-        rate = np.abs(_rate(time_s, values))
-        quiet &= rate <= _QUIET * rate[: closed + 1].max()  # while the gripper closes
-    quiet &= force_n > _FIRM * force_n.max()
-    first, last = _longest(quiet)
+def find_hold(grasp: GraspRows) -> Hold:
+    """Return the longest part of a grasp in which the width is constant and the force firm."""
+    _check(grasp)
+    path, time_s, force_n, width_mm = grasp
+    rate = np.abs(_rate(time_s, width_mm))
+    closing = rate[: int(width_mm.argmin()) + 1].max()
+    first, last = _longest((rate <= _QUIET * closing) & (force_n >= _FIRM * force_n.max()))
     if last - first < _MIN_ROWS:
         raise FileError(
-            f"'{path}': force and width are constant together in less than {_MIN_ROWS} rows; a "
-            "moving gripper pairs forces with widths of another time. Hold the object for a "
-            "second at the largest force."
+            f"'{path}': the width is constant in less than {_MIN_ROWS} rows of nearly the largest "
+            "force; a moving gripper pairs forces with widths of another time. Hold the object for "
+            "a second at the largest force."
         )
     rows = slice(first, last)
     return Hold(
-        path.stem, float(force_n[rows].mean()), float(width_mm[rows].mean()),
+        path.stem, float(np.median(force_n[rows])), float(np.median(width_mm[rows])),
         float(force_n[rows].std()), float(width_mm[rows].std()),
-        float(width_mm[last - 1] - width_mm[first]), lag,
+        float(width_mm[last - 1] - width_mm[first]), _lag(grasp),
         (float(time_s[first]), float(time_s[last - 1])),
     )  # fmt: skip
 
 
-def _check(
-    path: Path,
-    time_s: Float[np.ndarray, " k"],
-    force_n: Float[np.ndarray, " k"],
-    width_mm: Float[np.ndarray, " k"],
-) -> None:
+def _check(grasp: GraspRows) -> None:
+    path, time_s, force_n, width_mm = grasp
     if len(time_s) <= _MIN_ROWS:
         raise FileError(
             f"'{path}': {len(time_s)} rows have a time, a force and a width; more than {_MIN_ROWS} "
@@ -152,12 +140,9 @@ def _rate(time_s: Float[np.ndarray, " k"], values: Float[np.ndarray, " k"]) -> n
     return np.asarray(change / (later - earlier))
 
 
-def _lag(
-    time_s: Float[np.ndarray, " k"],
-    force_n: Float[np.ndarray, " k"],
-    width_mm: Float[np.ndarray, " k"],
-) -> float:
+def _lag(grasp: GraspRows) -> float:
     """Return by how much later widths fall than forces rise, by their cross-correlation, s."""
+    _, time_s, force_n, width_mm = grasp
     step = float(np.median(np.diff(time_s)))
     even = np.arange(time_s[0], time_s[-1] + 0.5 * step, step)
     rise, fall = (

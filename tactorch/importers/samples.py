@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from tactorch.errors import ConfigError, FileError
-from tactorch.importers.quantities import PALPATION_UNITS, assign, clean
+from tactorch.errors import FileError
+from tactorch.importers.quantities import PALPATION_UNITS, clean
 from tactorch.importers.sheets import Sheet, read_sheet
 from tactorch.importers.strokes import find_mixed, find_places, find_stroke, lost_work
 
@@ -135,17 +135,7 @@ class Samples:
 def read_rows(path: Path, columns: Mapping[str, str], units: Mapping[str, str]) -> Rows:
     """Read the rows of a table; see `assign` for columns and units."""
     sheet = read_sheet(path, "palpation")
-    try:
-        found = assign(list(sheet.columns), columns, units, PALPATION_UNITS)
-    except ConfigError as error:
-        raise ConfigError(f"'{path}': {error}") from error
-    missing = [name for name in _REQUIRED if name not in found]
-    if missing:
-        raise FileError(
-            f"'{path}' lacks the column {_REQUIRED[missing[0]]!r}; its columns are "
-            f"{', '.join(sheet.columns)}. A palpation needs {', '.join(_REQUIRED.values())}; other "
-            f"names are stated as in format.columns={{{missing[0]}: NAME}}."
-        )
+    found = sheet.assigned(columns, units, PALPATION_UNITS, _REQUIRED, "palpation")
 
     def vectors(prefix: str) -> Float[np.ndarray, "s 3"] | None:
         names = [prefix + axis for axis in _AXES]

@@ -3,7 +3,7 @@
 import csv
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -15,7 +15,7 @@ from tactorch.budget import TEXT, check_memory, read_content
 from tactorch.errors import ConfigError, FileError
 from tactorch.files import require_file
 from tactorch.importers.quantities import SUFFIXES as UNITS
-from tactorch.importers.quantities import clean
+from tactorch.importers.quantities import assign, clean
 
 _log = logging.getLogger(__name__)
 SUFFIXES = (".csv", ".txt", ".tsv", ".parquet")
@@ -45,6 +45,31 @@ class Sheet:
     def texts(self, name: str) -> list[str]:
         """Return a column of text, "" where a cell is empty; whole numbers have no decimals."""
         return [_as_text(cell) for cell in self.columns[name]]
+
+    def assigned(
+        self,
+        columns: Mapping[str, str] | None,
+        units: Mapping[str, str] | None,
+        known: Mapping[str, Mapping[str, float]],
+        required: Mapping[str, str] | None = None,
+        what: str = "",
+    ) -> dict[str, tuple[str, float]]:
+        """Return the column and the factor of each quantity, see `assign`.
+
+        `required` has the usual columns of those that `what` needs. Errors name the file.
+        """
+        try:
+            found = assign(list(self.columns), columns or {}, units or {}, known)
+        except ConfigError as error:
+            raise ConfigError(f"'{self.path}': {error}") from error
+        missing = next((name for name in required or {} if name not in found), None)
+        if required and missing is not None:
+            raise FileError(
+                f"'{self.path}' lacks the column {required[missing]!r}; its columns are "
+                f"{', '.join(self.columns)}. A {what} needs {', '.join(required.values())}; other "
+                f"names are stated as in format.columns={{{missing}: NAME}}."
+            )
+        return found
 
     def _number(self, name: str, row: int) -> float:
         cell = self.columns[name][row]

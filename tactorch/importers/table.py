@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from tactorch.config import option
 from tactorch.errors import ConfigError, FileError
 from tactorch.importers.points import PointData, PointOptions, press_files
-from tactorch.importers.quantities import assign, vector
+from tactorch.importers.quantities import UNITS, vector
 from tactorch.importers.sheets import SUFFIXES, Sheet, read_sheet
 from tactorch.mesh import read_mesh
 from tactorch.recording import Recording
@@ -52,10 +52,7 @@ class TableOptions(PointOptions):
 
     def _read(self, sheet: Sheet, in_folder: bool) -> list[PointData]:
         """Return the presses of a table."""
-        try:
-            found = assign(list(sheet.columns), self.columns or {}, self.units or {})
-        except ConfigError as error:
-            raise ConfigError(f"'{sheet.path}': {error}") from error
+        found = sheet.assigned(self.columns, self.units, UNITS)
         quantities = {
             name: factor * sheet.numbers(column)
             for name, (column, factor) in found.items()

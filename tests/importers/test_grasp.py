@@ -8,13 +8,16 @@ import pytest
 from tactorch.errors import ConfigError, FileError
 from tactorch.importers import import_grasp
 from tactorch.importers.grasp import rigid_depth
-from tactorch.importers.holds import GraspColumns, find_hold
+from tactorch.importers.holds import GraspColumns, GraspRows, find_hold
 from tactorch.mesh import Box, Sphere
 from tactorch.recording import Recording
 from tactorch.sensor.description import GelLayer
 
 RATE = 30.0  # rows a second
-CUBE = {"shape": "box", "size_mm": (6.0, 6.0, 6.0), "edge_mm": 2.0, "offset_mm": 1.5}
+GEL = GelLayer(4.0, 0.2, size_mm=(20.0, 20.0))
+CUBE = {
+    "shape": "box", "size_mm": (6.0, 6.0, 6.0), "edge_mm": 2.0, "offset_mm": 1.5, "gel": GEL,
+}  # fmt: skip
 
 
 def write(path: Path, lag_s: float = 0.2, force_n: float = 4.0, hold_s: float = 1.0) -> Path:
@@ -42,7 +45,7 @@ def test_slow_closing_is_no_hold(tmp_path: Path) -> None:
     time = np.arange(0.0, 3.0, 1.0 / RATE)
     force = np.interp(time, [0.0, 2.0, 2.6, 2.7], [0.0, 4.0, 4.0, 0.0])
     width = np.interp(time, [0.0, 2.0, 2.6, 2.7], [8.0, 3.5, 3.5, 8.0])
-    hold = find_hold(tmp_path / "a.csv", time, force, width)
+    hold = find_hold(GraspRows(tmp_path / "a.csv", time, force, width))
     assert (hold.force_n, hold.width_mm) == pytest.approx((4.0, 3.5), abs=0.05)
 
 
@@ -51,7 +54,7 @@ def test_compliance_is_of_the_force_beyond_that_of_the_references(tmp_path: Path
     folder = tmp_path / "references"
     folder.mkdir()
     usual = {**CUBE, "offset_mm": None, "reference": folder, "reference_shape": "box",
-             "reference_mm": 6.0, "gel_thickness_mm": 2.0, "gel_size_mm": (5.0, 5.0)}  # fmt: skip
+             "reference_mm": 6.0, "gel": GelLayer(2.0, 0.2, size_mm=(5.0, 5.0))}  # fmt: skip
     write(folder / "one.csv", force_n=1.0)
     path = write(tmp_path / "a.csv", force_n=2.0)
     plain, bent = (
@@ -139,9 +142,8 @@ def test_reference_gives_the_distance_of_the_faces(tmp_path: Path) -> None:
     assert 2.0 / (0.27 * 25.0) < depth < 2.0 / (0.2 * 25.0)
     reference = write(tmp_path / "block.csv", force_n=1.0)
     recording = import_grasp(
-        write(tmp_path / "a.csv"), **{**CUBE, "offset_mm": None}, reference=reference,
-        reference_shape="box", reference_mm=6.0, gel_thickness_mm=2.0, gel_size_mm=(5.0, 5.0),
-        gel_poisson=0.3,
+        write(tmp_path / "a.csv"), **{**CUBE, "offset_mm": None, "gel": layer},
+        reference=reference, reference_shape="box", reference_mm=6.0,
     )  # type: ignore[arg-type]  # fmt: skip
     assert recording.provenance["offset_mm"] == pytest.approx(6.0 - 2.0 * depth - 3.5, abs=0.05)
     gel = recording.presses[0].gel

@@ -7,6 +7,7 @@ import pytest
 from tactorch.importers import import_grasp
 from tactorch.importers.holds import GraspColumns
 from tactorch.inverse import invert
+from tactorch.sensor.description import GelLayer
 
 pytestmark = pytest.mark.external
 COLUMNS = {"width": "gripper_width_mm"}
@@ -20,12 +21,12 @@ def grasps(shared_data: Path) -> Path:
 @pytest.mark.parametrize(
     ("name", "force_n", "width_mm"),
     [
-        ("golf_ball_1", 24.2, 35.8),
-        ("orange_ball_1", 22.7, 32.4),
-        ("orange_ball_2", 23.2, 32.2),
-        ("purple_ball_1", 23.2, 39.3),
-        ("purple_ball_2", 23.0, 39.3),
-        ("red_foam_brick_0", 21.6, 14.2),
+        ("golf_ball_1", 24.0, 35.8),
+        ("orange_ball_1", 22.7, 32.3),
+        ("orange_ball_2", 23.1, 32.3),
+        ("purple_ball_1", 23.1, 39.3),
+        ("purple_ball_2", 23.1, 39.3),
+        ("red_foam_brick_0", 21.8, 13.2),
     ],
 )
 def test_holds_are_where_the_tables_show_them(
@@ -43,8 +44,8 @@ def test_repetitions_agree_and_moduli_are_in_the_order_of_the_hardness(grasps: P
     for name in ("orange_ball_1", "orange_ball_2", "purple_ball_1", "purple_ball_2"):
         recording = import_grasp(
             grasps / f"{name}.csv", columns=COLUMNS, size_mm=(50.0,), edge_mm=6.0,
-            reference=grasps / "golf_ball_1.csv", reference_mm=42.7, gel_thickness_mm=4.5,
-            gel_size_mm=(36.0, 27.0),
+            reference=grasps / "golf_ball_1.csv", reference_mm=42.7,
+            gel=GelLayer(4.5, 0.2, size_mm=(36.0, 27.0)),
         )  # fmt: skip
         found.append(invert(recording).background_mpa)
     assert found[0] == pytest.approx(found[1], rel=0.1)

@@ -6,9 +6,8 @@ the contact ends, is that of the finite elements of both, see `tactorch.touch.co
 force is a datum where it is measured.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -65,10 +64,6 @@ class _Readings:
     axes: Float[np.ndarray, "k 3"]  # components, in the frame of the sensor
     opposed: Bool[np.ndarray, " p"]  # pairs of another gel
     turn: Float[np.ndarray, "3 3"]  # from the frame of the sensor to that of the object
-
-    @property
-    def n_data(self) -> int:
-        return self.markers.shape[0] + len(self.axes)
 
     def predicted(
         self, contact: PairContact, u: Float[np.ndarray, "nodes 3"]
@@ -365,18 +360,16 @@ class GelProblem(InverseProblem):
         """
         starts = [self._last.get(i) for i in range(len(self.readings))]
 
-        def work(number: int) -> _Data:
+        def predicted(number: int) -> _Data:
             press = self._solve(number, youngs, starts)
             self._last[number] = press.state.displacement
             press.coupled.forget()
             return press.predicted(self.data.observations[number])
 
         # Presses of a contact share a solver, which is forgotten: one after the other.
-        found = dict[int, _Data]()
-        for places in _in_turn([self.contact_of[i] for i in numbers]):
-            chosen = [numbers[k] for k in places]
-            found |= zip(chosen, map_cases(partial(_at, work, chosen), len(chosen)), strict=True)
-        return found
+        groups = [[i for i in numbers if i in contact.numbers] for contact in self._touched]
+        parts = map_cases(lambda k: {i: predicted(i) for i in groups[k]}, len(groups))
+        return {i: data for part in parts for i, data in part.items()}
 
     def _solve(self, number: int, youngs: Moduli, starts: Sequence[NodalField | None]) -> _GelPress:
         contact, sticking = self._touched[self.contact_of[number]], self._sticking.get(number)
@@ -513,18 +506,6 @@ def _reading(press: Press) -> GelReading:
     if press.gel is None:
         raise ConfigError(f"{press.label} has no gel; give presses of a sensor with markers.")
     return press.gel
-
-
-def _at(work: Callable[[int], _Data], numbers: Sequence[int], k: int) -> _Data:
-    return work(numbers[k])
-
-
-def _in_turn(contacts: Sequence[int]) -> list[list[int]]:
-    """Return positions in rounds, in each of which no contact is twice."""
-    rounds = [list(contacts[:i]).count(contact) for i, contact in enumerate(contacts)]
-    return [
-        [i for i, at in enumerate(rounds) if at == k] for k in range(max(rounds, default=-1) + 1)
-    ]
 
 
 def _group(presses: Sequence[Press]) -> list[tuple[int, ...]]:

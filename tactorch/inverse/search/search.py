@@ -107,6 +107,7 @@ def find_shapes(
     with progress_line("search for inclusions") as update:
         update("elements at the contacts")
         path: _Path | None = None
+        of_grasps = is_of_grasps(recording)
         if is_palpation(recording):
             options = settings, limit, max_shapes
             if start is None:
@@ -117,15 +118,14 @@ def find_shapes(
                     path = _accept_models(PalpationSearch(part, *options), limit, None, update)[1]
             update("elements at all places")
             problem: SearchProblem = PalpationSearch(recording, *options)
-        elif is_of_grasps(recording):
+        elif of_grasps:
             problem = GraspSearch(recording, settings, limit, max_shapes)
         else:
             refined = recording if is_same_model(recording) else refined_at_contacts(recording)
             problem = ShapeProblem(refined, settings, limit, kept, max_shapes)
             if start is None:
                 _log_provisional(problem)
-        has_gels = any(press.gel is not None for press in recording.presses)
-        has_gels = has_gels and not is_of_grasps(recording)
+        has_gels = not of_grasps and any(press.gel is not None for press in recording.presses)
         model, result = search(problem, limit, start, update, path, brief=has_gels)
         if has_gels and not result.ended:
             update("gel and object")
