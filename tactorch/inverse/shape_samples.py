@@ -165,7 +165,7 @@ def sample_shapes(
         raise ConfigError(f"draws={draws} must be 2 or more.")
     if result.through_gel:
         raise ConfigError(
-            "The shapes are fitted through the gel of a sensor, and draws are by its forces; use "
+            "The search was through the gel of a sensor, and draws are by its forces; use "
             "the intervals of the result."
         )
     with progress_line("draws of the posterior", show_progress) as update:

@@ -10,7 +10,8 @@ from tactorch.errors import ConfigError, ConvergenceError, RecordingError
 from tactorch.fem import Supports
 from tactorch.inverse import Settings, invert
 from tactorch.inverse.forward.gel import GelProblem
-from tactorch.inverse.search.gel import GraspSearch, gel_sites
+from tactorch.inverse.search.gel import GraspSearch
+from tactorch.inverse.search.gel_correction import gel_sites
 from tactorch.mesh import Box, TetMesh, box_mesh
 from tactorch.recording import ForceReading, GelReading, MaterialSpec, Press, Recording
 from tactorch.recording.press import constant_field

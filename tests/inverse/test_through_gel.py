@@ -1,9 +1,8 @@
-"""Fits through the equilibrium of gel and object: derivatives, and a ball from its markers.
+"""Searches through the equilibrium of gel and object: derivatives, and a ball from its markers.
 
 The presses are solved on another, finer mesh.
 """
 
-import logging
 from dataclasses import replace
 from typing import Any
 
@@ -12,13 +11,14 @@ import pytest
 from scipy.interpolate import CloughTocher2DInterpolator
 
 from tactorch.errors import CancelledError, ConfigError
+from tactorch.inverse import Settings
 from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
 from tactorch.inverse.fit.shapes import ShapesOnSites
-from tactorch.inverse.forward.gel import GelProblem, pressed, within_contacts
-from tactorch.inverse.posterior.shapes import ShapePosterior
+from tactorch.inverse.forward.gel import GelProblem, has_markers, pressed, within_contacts
 from tactorch.inverse.result.shapes import ShapeReconstruction
-from tactorch.inverse.search.gel import gel_sites
-from tactorch.inverse.search.through_gel import _with_errors, through_gel
+from tactorch.inverse.search.gel_correction import gel_sites, with_gel_errors
+from tactorch.inverse.search.model import TimeLimit
+from tactorch.inverse.search.search import _through_gel, find_shapes
 from tactorch.mesh import Box, Sphere, box_mesh
 from tactorch.phantoms import Phantom
 from tactorch.recording import GelReading, MaterialSpec, Press, Recording
@@ -89,11 +89,6 @@ def field_and_truth(recording: Recording) -> tuple[ShapeField, np.ndarray]:
     field = ShapeField(ShapePrior.of(recording.mesh, AROUND), (BALL,))
     values = np.array([np.log(AROUND), *CENTER, np.log(RADIUS), np.log(YOUNGS / AROUND)])
     return field, field.standard(values)
-
-
-def result_at(field: ShapeField, z: np.ndarray) -> ShapeReconstruction:
-    posterior = ShapePosterior(field, z, np.zeros(len(z)), 0.01 * np.eye(len(z)))
-    return ShapeReconstruction(field, z, posterior, 1.0, (9.0,), 9.0, {}, 0.0, ())
 
 
 @pytest.fixture(scope="module")
@@ -196,7 +191,7 @@ def test_errors_of_the_discretisation_are_smooth_and_belong_to_a_contact(
     problem = GelProblem(replace(moving, presses=tuple(certain)), AROUND, cells=7)
     field, z = field_and_truth(recording)
     evaluation = problem.evaluate(ShapesOnSites(field, gel_sites(recording.mesh)).at(z).youngs)
-    data = _with_errors(problem, evaluation, [np.full(n, 1e-3) for n in problem.data.counts])
+    data = with_gel_errors(problem, evaluation, [np.full(n, 1e-3) for n in problem.data.counts])
     np.testing.assert_allclose(data.values, problem.data.values - 1e-3)
     assert data.correlated is not None
     patterns = data.correlated.patterns / data.scale[:, None]
@@ -216,18 +211,13 @@ def test_errors_of_the_discretisation_are_smooth_and_belong_to_a_contact(
 
 
 @pytest.mark.slow
-def test_a_ball_is_found_from_the_markers(
-    solved: Recording, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Modulus, radius and place, from a start that is off as that by the gel's forces may be.
+def test_a_ball_is_found_from_the_markers(solved: Recording) -> None:
+    """Modulus, radius and place, by the markers alone.
 
     Without noise, what is left is the error of the discretisation, which intervals allow for.
     """
-    field, z = field_and_truth(solved)
-    values = field.physical(z)
-    values[1:] += [0.15, 0.1, -0.2, 0.1, -0.5]
-    with caplog.at_level(logging.INFO):
-        found = through_gel(result_at(field, field.standard(values)), solved)
+    found = find_shapes(solved, Settings(method="inclusions"))
+    assert found.through_gel
     assert found.chi2 < 0.1
     (lump,) = found.inclusions
     assert np.linalg.norm(np.subtract(lump.shape.center_mm, CENTER)) < 0.05
@@ -237,7 +227,9 @@ def test_a_ball_is_found_from_the_markers(
     assert found.background_mpa == pytest.approx(AROUND, rel=0.05)
     assert lump.shape.radius_mm == pytest.approx(RADIUS, rel=0.05)
     assert lump.youngs_mpa == pytest.approx(YOUNGS, rel=0.2)
-    assert caplog.text.count("gel and object: chi2") == 2
+    # Predictions are of the nodes of the object, in all presses.
+    assert found.predictions is not None
+    assert found.predictions.displacements.shape == (4, solved.mesh.n_points, 3)
 
 
 def test_markers_within_the_contact_are_used(problem: GelProblem, recording: Recording) -> None:
@@ -284,27 +276,33 @@ def test_presses_before_first_touch_are_left_out(recording: Recording) -> None:
     apart = first.gel.first_pose.copy()
     apart[:3, 3] -= 0.2 * apart[:3, 2]
     presses = (replace(first, gel=replace(first.gel, pose=apart)), *recording.presses[1:])
-    kept = pressed(replace(recording, presses=presses, check_units=False), AROUND)
+    kept, numbers = pressed(replace(recording, presses=presses, check_units=False), AROUND)
+    assert numbers == [1, 2, 3]
     assert [press.gel for press in kept.presses] == [p.gel for p in recording.presses[1:]]
 
 
-def test_presses_without_markers_keep_their_result(
+def searched(recording: Recording, stop: bool = False) -> ShapeReconstruction | None:
+    """Result of a search through gel and object."""
+    limit = TimeLimit(None, lambda: stop)
+    return _through_gel(recording, Settings(), limit, 4, None, lambda what: None)
+
+
+def test_presses_without_markers_are_searched_by_forces(
     recording: Recording, caplog: pytest.LogCaptureFixture
 ) -> None:
-    field, z = field_and_truth(recording)
-    result = result_at(field, z)
     first, rest = recording.presses[0], recording.presses[1:]
     none = tuple(replace(press, gel=None) for press in recording.presses)
-    assert through_gel(result, replace(recording, presses=none)) is result
+    assert has_markers(recording)
+    assert not has_markers(replace(recording, presses=none))
     assert not caplog.text
     bare = replace(recording, presses=(replace(first, gel=None, name="bare"), *rest))
-    assert through_gel(result, bare) is result
+    assert not has_markers(bare)
     assert "press 'bare' and 0 others have no markers" in caplog.text
-    # A sensor that turns has no equilibrium here, and the result remains.
+    # A sensor that turns has no equilibrium here, and forces are those of the gel.
     turned = first.gel.pose.copy()
     turned[:3, :3] = turned[:3, :3] @ _turn(0.1)
     presses = (replace(first, gel=replace(first.gel, pose=turned)), *rest)
-    assert through_gel(result, replace(recording, presses=presses)) is result
+    assert searched(replace(recording, presses=presses)) is None
     assert "turns by 5.7 degrees after first contact" in caplog.text
 
 
@@ -328,10 +326,9 @@ def test_other_laws_and_weight_are_refused(
         GelProblem(replace(recording, **change), AROUND)
 
 
-def test_a_fit_can_be_stopped(recording: Recording) -> None:
-    field, z = field_and_truth(recording)
-    with pytest.raises(CancelledError, match="stopped in the fit of gel and object"):
-        through_gel(result_at(field, z), recording, lambda: True)
+def test_a_search_can_be_stopped(recording: Recording) -> None:
+    with pytest.raises(CancelledError, match="was stopped before it had a result"):
+        searched(recording, stop=True)
 
 
 @pytest.mark.parametrize(

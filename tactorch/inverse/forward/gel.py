@@ -6,6 +6,7 @@ the contact ends, is that of the finite elements of both, see `tactorch.touch.co
 force is a datum where it is measured.
 """
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -44,6 +45,7 @@ from tactorch.touch.pairing import Facing, face_each_other
 
 _Data = Float[np.ndarray, " data"]  # of a press, mm or N
 
+_log = logging.getLogger(__name__)
 #: Constitutive law of gel and object.
 GEL_LAW = "neo_hookean"
 _APART = 0.01  # distance of points that touch, over the depth
@@ -152,6 +154,17 @@ class GelEvaluation(Evaluation):
 
         return self._of_residuals(np.concatenate(map_cases(work, len(cases))))
 
+    def log_rates(self) -> Float[np.ndarray, "data m"]:
+        """Return the derivatives of the data (mm or N) by the log-modulus of each element."""
+        cases, m = self.sensitivities, len(self.youngs)
+
+        def work(i: int) -> np.ndarray:  # without an array of all quadrature points and presses
+            rates = cases[i].matrix()[:, : self.youngs.size]
+            rates *= self.youngs.ravel()
+            return rates.reshape(len(rates), m, -1).sum(axis=2)
+
+        return np.concatenate(map_cases(work, len(cases)))
+
     def transpose_times(self, weights: Float[np.ndarray, " data"]) -> Moduli:
         """Return the transpose of d residuals / d youngs of the object times `weights`."""
         own, cases = self._split(weights), self.sensitivities
@@ -220,6 +233,7 @@ class GelProblem(InverseProblem):
             sensor, for each contact.
         surface: Mesh before a refinement, which adds nodes on its flat triangles; by default that
             of the recording.
+        rtol: Residual of equilibria over the forces.
 
     Attributes:
         data: Displacements of the markers, and the statistics of their errors.
@@ -240,6 +254,7 @@ class GelProblem(InverseProblem):
         layers: int = 2,
         gel_sizing: Sequence[Sizing] | None = None,
         surface: TetMesh | None = None,
+        rtol: float = 1e-7,
     ) -> None:
         self.recording, self.assumed = recording, Nuisance(recording.material.poisson)
         self.evaluations = 0
@@ -258,7 +273,7 @@ class GelProblem(InverseProblem):
                 self.contact_of[number] = k
         sizings: Sequence[Sizing | None] = gel_sizing or [None] * len(groups)
         self._touched = [
-            _make_contact(recording, numbers, youngs_mpa, (cells, layers), sizing, surface)
+            _make_contact(recording, numbers, youngs_mpa, (cells, layers), sizing, surface, rtol)
             for numbers, sizing in zip(groups, sizings, strict=True)
         ]
         self.data = DataModel(tuple(_observation(press) for press in recording.presses))
@@ -469,11 +484,23 @@ def is_of_grasps(recording: Recording) -> bool:
     return all(without)
 
 
-def pressed(recording: Recording, youngs_mpa: float) -> Recording:
-    """Return the presses in which, by their poses, the gel is pressed against the object."""
+def has_markers(recording: Recording) -> bool:
+    """Whether all presses are of a sensor with markers; a warning is logged where some are not."""
+    without = [press.label for press in recording.presses if press.gel is None]
+    if without and len(without) < len(recording.presses):
+        _log.warning(
+            "Forces are those of the gel alone: %s and %d others have no markers of a gel.",
+            without[0], len(without) - 1,
+        )  # fmt: skip
+    return not without
+
+
+def pressed(recording: Recording, youngs_mpa: float) -> tuple[Recording, list[int]]:
+    """Return the presses in which, by their poses, gel and object touch, and their numbers."""
     problem = GelProblem(recording, youngs_mpa)
-    kept = tuple(p for i, p in enumerate(recording.presses) if problem.motion(i)[2] > 0.0)
-    return replace(recording, presses=kept, check_units=False)
+    numbers = [i for i in range(len(recording.presses)) if problem.motion(i)[2] > 0.0]
+    presses = tuple(recording.presses[i] for i in numbers)
+    return replace(recording, presses=presses, check_units=False), numbers
 
 
 def within_contacts(
@@ -525,6 +552,7 @@ def _make_contact(
     cells: tuple[int, int],
     sizing: Sizing | None,
     surface: TetMesh | None,
+    rtol: float,
 ) -> _Contact:
     first, mesh = recording.presses[numbers[0]], recording.mesh
     reading = _reading(first)
@@ -544,8 +572,9 @@ def _make_contact(
     if depth <= 0.0:
         raise ConfigError(f"{first.label}: the gel does not touch the object; check its pose.")
     coupled = Coupled(
-        facing, mesh, gel, recording.material, supports, body_mpa=youngs_mpa, depth_mm=depth
-    )
+        facing, mesh, gel, recording.material, supports, body_mpa=youngs_mpa, depth_mm=depth,
+        rtol=rtol,
+    )  # fmt: skip
     return _Contact(numbers, coupled, facing, gel, motions)
 
 

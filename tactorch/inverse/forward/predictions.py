@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from tactorch.inverse.data.observations import Observation
+from tactorch.inverse.data.observations import NoiseModel, Observation
 from tactorch.inverse.forward.problem import Evaluation
 from tactorch.recording import Press, Recording
 
@@ -32,6 +32,24 @@ class Predictions(NamedTuple):
             np.concatenate(evaluation.predicted) + correction,
             np.concatenate(evaluation.deviations),
         )
+
+    @staticmethod
+    def of_nodes(
+        displacements: Float[np.ndarray, "presses n 3"], recording: Recording, noise: NoiseModel
+    ) -> "Predictions":
+        """Return the predictions by displacements of nodes (mm), of which other data are unknown.
+
+        Residuals are in the stated deviations of nodes, whose errors are not independent.
+        """
+        predicted, residuals = list[np.ndarray](), list[np.ndarray]()
+        pairs = zip(recording.presses, noise.deviations(recording), displacements, strict=True)
+        for press, deviation, moved in pairs:
+            data = Observation.of(press, deviation)
+            own = np.full(len(data.values), np.nan)
+            own[data.nodal] = moved.ravel()[data.index]
+            predicted.append(own)
+            residuals.append((own - data.values) * data.scale)
+        return Predictions(displacements, np.concatenate(predicted), np.concatenate(residuals))
 
 
 def observed_data(presses: Sequence[Press]) -> Float[np.ndarray, " data"]:

@@ -191,9 +191,7 @@ class ShapeReconstruction(Displayed):
         alternatives: Other inclusions that explain the presses about as well, the most probable
             first. Intervals of inclusions include those with as many inclusions; intervals of
             elements and steps are those of the result alone.
-        through_gel: Whether shapes and intervals are fitted through the equilibrium of a sensor's
-            gel and the object. Log-odds, errors, predictive values and alternatives are then those
-            of the search, by the forces of the gel; its alternatives are not in intervals.
+        through_gel: Whether the search is through the equilibrium of a sensor's gel and the object.
     """
 
     field: ShapeField
@@ -331,7 +329,7 @@ class ShapeReconstruction(Displayed):
         own = 1.0 - sum(other.probability for other in self.alternatives)
         parts = [InclusionValues.of(self.posterior.field, self.samples, k)]
         centers = [shape.centroid_mm for shape in self.field.shapes(self.estimate)]
-        for other in () if self.through_gel else self.alternatives:
+        for other in self.alternatives:
             count = round(len(self.samples) * other.probability / own)
             if len(other.field.parts) == len(centers) and count:
                 others = [shape.centroid_mm for shape in other.shapes]

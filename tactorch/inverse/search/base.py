@@ -14,6 +14,7 @@ from tactorch.inverse.errors import ErrorModel, Levels
 from tactorch.inverse.fields import ShapeField, ShapePrior, Sites
 from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites, fit_shapes
 from tactorch.inverse.forward.palpation import contacts_of
+from tactorch.inverse.forward.predictions import Predictions
 from tactorch.inverse.forward.problem import Evaluation, InverseProblem
 from tactorch.inverse.forward.reduced import ReducedProblem
 from tactorch.inverse.posterior.shapes import ShapePosterior
@@ -31,6 +32,7 @@ from tactorch.inverse.search.model import (
     rivals,
     with_ball,
 )
+from tactorch.recording import Recording
 
 _QUICK_STEPS = 8  # of Gauss-Newton, for a provisional answer
 _WIDE = 3.0  # deviations of the misfit of samples beyond which parameters do not belong together
@@ -38,6 +40,8 @@ _QUICK_STARTS = 2  # fits of an inclusion for a provisional answer
 # Tolerances of fits: within one standard deviation of the optimum, and a sixth of the gain by which
 # models are accepted; and within a fifth of a standard deviation, for the last fit.
 ROUGH, FINE = 0.5, 0.02
+#: Families as which inclusions are tried where presses show their form.
+FORMS = ("ellipsoid", "cuboid", "rod", "tapered rod", "bent rod", "ring", "irregular lump")
 
 
 #: Source of models that may be better than the present one, to be fitted with the reduced model.
@@ -101,6 +105,10 @@ class SearchProblem:
     def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
         """Return the posterior of a final model, and the model or one of more evidence."""
         return model, make_posterior(model, self.sites)
+
+    def predictions(self, model: Model, recording: Recording) -> Predictions:
+        """Return the predictions of all presses of a recording at a final model."""
+        return Predictions.of(model.evaluation, recording)
 
     def provisional(self) -> ShapeFit:
         """Return a quick answer by the reduced model: a further inclusion in a uniform body.

@@ -1,44 +1,129 @@
-"""Presses of sensors and grasps as a problem of the search, through gels and object."""
+"""Presses of sensors, and grasps, as problems of the search: gels and object in one equilibrium."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from tactorch.errors import ConvergenceError
-from tactorch.fem import ELEMENTS
 from tactorch.inverse.data.observations import DataModel
 from tactorch.inverse.errors import ErrorModel, Levels, MeasuredPresses
-from tactorch.inverse.fields import ShapePrior, Sites, Vector
+from tactorch.inverse.fields import InclusionShape, ShapeField, ShapePrior, Sites, Vector
 from tactorch.inverse.fit.settings import Settings
 from tactorch.inverse.fit.shapes import ShapesOnSites
-from tactorch.inverse.forward.gel import GelEvaluation, GelProblem
+from tactorch.inverse.fit.starts import best_uniform
+from tactorch.inverse.forward.gel import GelEvaluation, GelProblem, pressed, within_contacts
+from tactorch.inverse.forward.predictions import Predictions
+from tactorch.inverse.forward.problem import InverseProblem
 from tactorch.inverse.forward.reduced import ReducedProblem
 from tactorch.inverse.posterior.shapes import ShapePosterior
-from tactorch.inverse.search.base import SearchProblem
+from tactorch.inverse.search.base import FORMS, SearchProblem
 from tactorch.inverse.search.final_posterior import final_posterior
+from tactorch.inverse.search.gel_correction import (
+    REMAINING,
+    GelCorrection,
+    gel_sites,
+    with_gel_errors,
+)
 from tactorch.inverse.search.matched import MatchedFilter
 from tactorch.inverse.search.model import Model
-from tactorch.inverse.search.proposals import changed, further, removed
-from tactorch.mesh import TetMesh
+from tactorch.inverse.search.proposals import (
+    backgrounds,
+    changed,
+    further,
+    joined,
+    removed,
+    split,
+)
+from tactorch.inverse.search.slabs import inclusions_as_steps, simpler_background, slabs
 from tactorch.recording import Recording
-from tactorch.touch.pairing import ELEMENT
 
 _STEPS, _LARGEST, _CLOSE = 12, 1.5, 0.05  # steps of the log of a uniform modulus
+_ROUGH = 0.3  # of a modulus that is fitted further
 # Modulus over that of the gels beyond which the object is rigid: another one changes the force of
 # a grasp by less than its deviation.
 _RIGID = 1e2
+# Distance of an inclusion from another, over its radius, at which elements at the boundary of one
+# are hardly larger at that of the other.
+_NEAR = 0.25
+_MARGIN = 0.08  # distance of markers from the end of the contact, over its size
 
 
 class GelSearch(SearchProblem):
-    """Gel and object in one equilibrium, with data whose errors are known already."""
+    """Gels and object in one equilibrium; see `SearchProblem`.
+
+    Errors of gels and poses, and of the mesh, are computed about a model, and have no levels.
+    """
 
     full: GelProblem
 
-    def __init__(
-        self, full: GelProblem, sites: Sites, stop: Callable[[], bool], max_shapes: int = 0
-    ) -> None:
-        super().__init__(stop, max_shapes)
-        self.full, self.sites = full, sites
+    def _best_uniform(
+        self, recording: Recording, settings: Settings, first_mpa: float, close: float
+    ) -> GelEvaluation:
+        """Return the presses, which are then `full`, at the uniform modulus that fits best.
+
+        It is found from a first one, to a difference of its logarithm.
+
+        Raises:
+            ConvergenceError: a rigid object deforms the gels less than the data tell, or the
+                modulus is beyond the bounds.
+        """
+        self.full = GelProblem(recording, first_mpa)
+        found = self._uniform_evaluation(settings, first_mpa, close)
+        best_mpa = float(found.youngs.flat[0])
+        if best_mpa == first_mpa:
+            return found
+        # Points that do not slip are those that touch at this modulus.
+        self.full = GelProblem(recording, best_mpa)
+        return self.full.evaluate(found.youngs, starts=found.displacements)
+
+    def _uniform_evaluation(
+        self, settings: Settings, first_mpa: float, close: float
+    ) -> GelEvaluation:
+        bounds, problem = settings.bounds, self.full
+        highest = min(np.log(bounds.upper), np.log(_RIGID * _gel_mpa(problem.recording)))
+        youngs, starts = np.full(self.sites.shape, first_mpa), None
+        for _ in range(_STEPS):
+            self._check()
+            evaluation = problem.evaluate(youngs, starts=starts)
+            columns, _ = evaluation.linear_response(youngs.reshape(1, -1))
+            column = columns[:, 0]
+            step = -float(column @ evaluation.residuals) / max(float(column @ column), 1e-12)
+            if abs(step) < close:
+                return evaluation
+            log = float(np.log(youngs.flat[0]))
+            if log >= highest and step > 0.0 and highest < np.log(bounds.upper):
+                raise ConvergenceError(
+                    f"With {np.exp(log):.3g} MPa the object is rigid beside the gels, and a "
+                    "stiffer one would fit better: a gripper is wider, a pose is deeper, or a gel "
+                    "is stiffer, than stated. Check widths, poses and gels."
+                )
+            lowest, before = np.log(bounds.lower), log
+            log = float(np.clip(log + np.clip(step, -_LARGEST, _LARGEST), lowest, highest))
+            if log == before:
+                raise ConvergenceError(
+                    f"The best modulus is beyond {np.exp(log):.3g} MPa, a bound of the settings "
+                    "(bounds.lower, bounds.upper). Check size, reference and units, or widen it."
+                )
+            youngs, starts = np.full_like(youngs, np.exp(log)), evaluation.displacements
+        return evaluation
+
+    def _linearise_about(self, problem: GelProblem, evaluation: GelEvaluation) -> None:
+        """Prepare the reduced model about a uniform body, whose equilibria are given."""
+        mesh, self._about = problem.recording.mesh, evaluation
+        self._reduced_sites = Sites.around(mesh)
+        self.reduced = ReducedProblem(problem, evaluation)
+        self.matched = MatchedFilter.of(self.reduced)
+        self.typical_mpa = float(evaluation.youngs.flat[0])
+        self.prior = ShapePrior.of(mesh, self.typical_mpa)
+
+    def _use(self, data: DataModel) -> None:
+        """Fit to these data from now on."""
+        self.full = self.full.with_data(data)
+        self.errors = ErrorModel(MeasuredPresses(self.full), ())
+
+    def uniform(self) -> Model:
+        """Fit the uniform body, from the one about which errors are linearised."""
+        return self.precise(self.fit(self._uniform, self._about.displacements))
 
     def data(self, errors: Levels) -> DataModel:
         """Return the data, whose errors are those of gel and poses."""
@@ -59,6 +144,94 @@ class GelSearch(SearchProblem):
         return float(np.sum(found.residuals**2)) - 2.0 * model.fit.misfit
 
 
+class SensorSearch(GelSearch):
+    """Presses of a sensor with markers: a search through gel and object; see `SearchProblem`.
+
+    Markers within the contacts are used. What the mesh changes of them is corrected by a finer one
+    at each accepted model. Presses before first touch are left out.
+
+    Raises:
+        ConfigError: see `GelProblem`.
+        ConvergenceError: a press has no equilibrium.
+    """
+
+    proposals = (
+        further, backgrounds, slabs, simpler_background, removed, changed, joined, split,
+        inclusions_as_steps,
+    )  # fmt: skip
+    forms = FORMS
+    trial_steps = 20
+
+    def __init__(
+        self,
+        recording: Recording,
+        settings: Settings,
+        stop: Callable[[], bool] = lambda: False,
+        max_shapes: int = 0,
+    ) -> None:
+        super().__init__(stop, max_shapes)
+        self.sites = gel_sites(recording.mesh)
+        self._noise = settings.noise
+        some, touching = pressed(recording, _gel_mpa(recording))
+        by_forces = InverseProblem(recording, solver=settings.solver, noise=settings.noise)
+        guess, gel_mpa = best_uniform(by_forces, settings.bounds), _gel_mpa(recording)
+        guess = float(np.clip(guess, gel_mpa / _RIGID, gel_mpa * _RIGID))
+        first = self._best_uniform(some, settings, guess, _ROUGH)
+        typical = float(first.youngs.flat[0])
+        rims = self.full.rims(first)
+        within, numbers = within_contacts(some, rims, _MARGIN)
+        self._rims = [rims[number] for number in numbers]
+        self._numbers = [touching[number] for number in numbers]
+        self._measured = self.full = GelProblem(within, typical)
+        starts, youngs = self.full.take_over(first, numbers), first.youngs
+        del first  # whose factorisations take gigabytes
+        self._check()
+        evaluation = self.full.evaluate(youngs, starts=starts)
+        self._linearise_about(self.full, evaluation)
+        self._correction = GelCorrection(self.full, self._rims, typical)
+        self._fine_at: tuple[InclusionShape, ...] = ()
+        self._correct(ShapeField(self.prior), np.zeros(1), evaluation)
+
+    def precise(self, model: Model) -> Model:
+        """Return an accepted model, fitted to data that are corrected there."""
+        change = np.log(model.evaluation.youngs / self._corrected_mpa)
+        if np.abs(change).max() < REMAINING:  # of the correction, which changes as much
+            return model
+        return self._corrected(model, None)
+
+    def final(self, model: Model) -> Model:
+        """Return the model fitted closely, corrected by a mesh that is finer at its inclusions."""
+        shapes = tuple(model.fit.field.shapes(model.fit.z))
+        if not _are_near(shapes, self._fine_at):
+            self._correction = GelCorrection(self._measured, self._rims, self.typical_mpa, shapes)
+            self._fine_at = shapes
+        return self._corrected(model, self.final_tolerance)
+
+    def _corrected(self, model: Model, tolerance: float | None) -> Model:
+        self._check()
+        assert isinstance(model.evaluation, GelEvaluation)
+        self._correct(model.fit.field, model.fit.z, model.evaluation)
+        return self._fit_further(model, "corrected", tolerance)
+
+    def _correct(self, field: ShapeField, z: Vector, evaluation: GelEvaluation) -> None:
+        """Correct the data for the mesh, with errors about a model."""
+        offsets = self._correction.offsets(field, z, evaluation)
+        self._use(with_gel_errors(self._measured, evaluation, offsets))
+        self._corrected_mpa = evaluation.youngs
+
+    def predictions(self, model: Model, recording: Recording) -> Predictions:
+        """Return the predictions of nodes of the object, which do not move before first touch."""
+        some, touching = pressed(recording, self.typical_mpa)
+        known = dict(zip(self._numbers, model.evaluation.displacements, strict=True))
+        youngs = ShapesOnSites(model.fit.field, self.sites).at(model.fit.z).youngs
+        starts = [known.get(number) for number in touching]
+        found = GelProblem(some, self.typical_mpa).evaluate(youngs, starts=starts)
+        n = recording.mesh.n_points
+        moved = np.zeros((len(recording.presses), n, 3))
+        moved[touching] = [u[:n] for u in found.on_object]
+        return Predictions.of_nodes(moved, recording, self._noise)
+
+
 class GraspSearch(GelSearch):
     """Grasps whose forces are measured: a search through gels and object; see `SearchProblem`.
 
@@ -74,67 +247,29 @@ class GraspSearch(GelSearch):
         stop: Callable[[], bool] = lambda: False,
         max_shapes: int = 0,
     ) -> None:
-        problem, sites = GelProblem(recording, _first_mpa(recording)), gel_sites(recording.mesh)
-        super().__init__(problem, sites, stop, max_shapes)
-        starts = self._uniform_evaluation(settings)
-        # Points that do not slip are those that touch at this modulus.
-        problem = GelProblem(recording, float(starts.youngs.flat[0]))
-        evaluation = problem.evaluate(starts.youngs, starts=starts.displacements)
+        super().__init__(stop, max_shapes)
+        self.sites = gel_sites(recording.mesh)
+        evaluation, problem = (
+            self._best_uniform(recording, settings, _gel_mpa(recording), _CLOSE),
+            self.full,
+        )
         common = evaluation.uncertain(problem.contact_of, problem.readings)
         common = common[:, (common != 0.0).any(axis=0)]
-        self.full = problem.with_data(problem.data.with_errors(common))
-        self._about = evaluation
-        self._reduced_sites = Sites.around(recording.mesh)
-        self.reduced = ReducedProblem(self.full, evaluation)
-        self.errors = ErrorModel(MeasuredPresses(self.full), ())
-        self.matched = MatchedFilter.of(self.reduced)
-        self.prior = ShapePrior.of(recording.mesh, float(evaluation.youngs.flat[0]))
-
-    def _uniform_evaluation(self, settings: Settings) -> GelEvaluation:
-        """Return the presses at the uniform modulus that fits best.
-
-        Raises:
-            ConvergenceError: the forces are larger than those of a rigid object.
-        """
-        bounds, problem = settings.bounds, self.full
-        gel_mpa = max(float(reading.layer[1]) for reading in problem.readings)
-        highest = min(np.log(bounds.upper), np.log(_RIGID * gel_mpa))
-        log, starts = float(np.log(_first_mpa(problem.recording))), None
-        for _ in range(_STEPS):
-            self._check()
-            youngs = np.full(self.sites.shape, np.exp(log))
-            evaluation = problem.evaluate(youngs, starts=starts)
-            columns, _ = evaluation.linear_response(youngs.reshape(1, -1))
-            column = columns[:, 0]
-            step = -float(column @ evaluation.residuals) / max(float(column @ column), 1e-12)
-            if abs(step) < _CLOSE:
-                return evaluation
-            if log >= highest and step > 0.0 and highest < np.log(bounds.upper):
-                raise ConvergenceError(
-                    f"With {np.exp(log):.3g} MPa the object is rigid beside the gels, and the "
-                    "measured forces are larger still: the gripper is wider, or the gels are "
-                    "stiffer, than stated. Check width and reference."
-                )
-            lowest, before = np.log(bounds.lower), log
-            log = float(np.clip(log + np.clip(step, -_LARGEST, _LARGEST), lowest, highest))
-            if log == before:
-                raise ConvergenceError(
-                    f"The best modulus is beyond {np.exp(log):.3g} MPa, a bound of the settings "
-                    "(bounds.lower, bounds.upper). Check size, reference and units, or widen it."
-                )
-            starts = evaluation.displacements
-        return evaluation
-
-    def uniform(self) -> Model:
-        """Fit the uniform body, from the one about which errors are linearised."""
-        return self.fit(self._uniform, self._about.displacements)
+        self._use(problem.data.with_errors(common))
+        self._linearise_about(self.full, evaluation)
 
 
-def gel_sites(mesh: TetMesh) -> Sites:
-    """Return the volumes of the quadrature points of elements under a gel."""
-    return Sites.around(mesh, ELEMENTS[ELEMENT].points)
+def _are_near(shapes: Sequence[InclusionShape], others: Sequence[InclusionShape]) -> bool:
+    """Whether inclusions are where others are, so that a mesh is fine at the boundaries of both."""
+    if len(shapes) != len(others):
+        return False
+    for one, other in zip(shapes, others, strict=True):
+        apart = np.linalg.norm(np.subtract(one.center_mm, other.center_mm))
+        if apart + abs(one.radius_mm - other.radius_mm) > _NEAR * other.radius_mm:
+            return False
+    return True
 
 
-def _first_mpa(recording: Recording) -> float:
-    """Return a first modulus: that of the gels."""
+def _gel_mpa(recording: Recording) -> float:
+    """Return the modulus of the stiffest gel, MPa."""
     return float(max(press.gel.layer[1] for press in recording.presses if press.gel is not None))

@@ -20,7 +20,7 @@ from tactorch.inverse.fit.starts import uniform_fit
 from tactorch.inverse.forward.problem import InverseProblem
 from tactorch.inverse.forward.reduced import ReducedProblem
 from tactorch.inverse.posterior.shapes import ShapePosterior
-from tactorch.inverse.search.base import FINE, SearchProblem
+from tactorch.inverse.search.base import FINE, FORMS, SearchProblem
 from tactorch.inverse.search.correction import Correction
 from tactorch.inverse.search.final_posterior import final_posterior
 from tactorch.inverse.search.matched import MatchedFilter
@@ -60,9 +60,7 @@ class ShapeProblem(SearchProblem):
         other_errors, further, backgrounds, slabs, simpler_background, removed, changed, joined,
         split, inclusions_as_steps,
     )  # fmt: skip
-    forms = (
-        "ellipsoid", "cuboid", "rod", "tapered rod", "bent rod", "ring", "irregular lump",
-    )  # fmt: skip
+    forms = FORMS
     trial_steps = 20  # a form starts far from its best fit
 
     def __init__(

@@ -18,22 +18,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tactorch.errors import CancelledError, ConvergenceError
+from tactorch.errors import UNCOMPUTABLE, CancelledError, ConvergenceError
 from tactorch.inverse.errors import Levels
 from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.fields import ShapeField
 from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.settings import Settings
-from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites
-from tactorch.inverse.forward.gel import is_of_grasps
+from tactorch.inverse.fit.shapes import ShapeFit
+from tactorch.inverse.forward.gel import has_markers, is_of_grasps
 from tactorch.inverse.forward.palpation import is_palpation
-from tactorch.inverse.forward.predictions import Predictions
 from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import Alternative, ShapeReconstruction
 from tactorch.inverse.search.base import SearchProblem
-from tactorch.inverse.search.gel import GraspSearch
+from tactorch.inverse.search.gel import GraspSearch, SensorSearch
 from tactorch.inverse.search.model import (
     MAX_LOG_ODDS,
+    MAX_ROUGH_CHI2,
     MIN_GAIN,
     Model,
     Proposal,
@@ -51,7 +51,6 @@ from tactorch.inverse.search.palpation import PalpationSearch, at_some_places
 from tactorch.inverse.search.problem import ShapeProblem, is_same_model
 from tactorch.inverse.search.proposals import promising, propose
 from tactorch.inverse.search.sizing import refined_at_contacts
-from tactorch.inverse.search.through_gel import through_gel
 from tactorch.progress import progress_line
 from tactorch.recording import Recording
 
@@ -121,62 +120,49 @@ def find_shapes(
         elif of_grasps:
             problem = GraspSearch(recording, settings, limit, max_shapes)
         else:
+            if has_markers(recording):
+                update("gel and object")
+                found = _through_gel(recording, settings, limit, max_shapes, start, update)
+                if found is not None:
+                    return found
             refined = recording if is_same_model(recording) else refined_at_contacts(recording)
             problem = ShapeProblem(refined, settings, limit, kept, max_shapes)
             if start is None:
                 _log_provisional(problem)
-        has_gels = not of_grasps and any(press.gel is not None for press in recording.presses)
-        model, result = search(problem, limit, start, update, path, brief=has_gels)
-        if has_gels and not result.ended:
-            update("gel and object")
-            model, result = _through_gel(problem, limit, model, result, recording)
-        if has_gels and not result.through_gel and result.ended is not StopReason.INTERRUPTED:
-            update("posterior")
-            model, result = _with_posterior(problem, model, result)
-        return replace(result, predictions=Predictions.of(model.evaluation, recording))
-
-
-def _with_posterior(
-    problem: SearchProblem, model: Model, result: ShapeReconstruction
-) -> tuple[Model, ShapeReconstruction]:
-    """Return the last model of a brief search and its result with the full posterior."""
-    best, posterior = problem.posterior(model)
-    history = list(result.history[:-1])  # without the final fit
-    if best is not model:
-        history.append(record("balls as ellipsoids", best.fit))
-    kept = {name: getattr(result, name) for name in ("ended", "untried", "alternatives")}
-    return best, replace(_result(problem, best, posterior, history), **kept)
+        model, result = search(problem, limit, start, update, path)
+        return replace(result, predictions=problem.predictions(model, recording))
 
 
 def _through_gel(
-    problem: SearchProblem,
-    limit: TimeLimit,
-    model: Model,
-    result: ShapeReconstruction,
     recording: Recording,
-) -> tuple[Model, ShapeReconstruction]:
-    """Return a model and its result fitted through gel and object, or as they are.
+    settings: Settings,
+    limit: TimeLimit,
+    max_shapes: int,
+    start: ShapeReconstruction | Start | None,
+    update: Callable[[str], None],
+) -> ShapeReconstruction | None:
+    """Search through the equilibrium of a sensor's gel and the object.
 
-    The search is complete: where the fit is stopped, the result remains.
+    None, with a warning, where that is not possible or does not explain the markers.
     """
-    fitted = result
-
-    def fit(_: int) -> bool:
-        nonlocal fitted
-        with suppress(CancelledError):
-            fitted = through_gel(result, recording, limit)
-        return False
-
-    ended = improve(fit, 1, limit)
-    if fitted is result:
-        return model, replace(result, ended=ended)
     try:
-        youngs = ShapesOnSites(fitted.field, problem.sites).at(fitted.z).youngs
-        evaluation = problem.full.evaluate(youngs, starts=model.evaluation.displacements)
-        return replace(model, evaluation=evaluation), fitted
-    except ConvergenceError as error:
-        _log.warning("Predictions are those of the fit by the forces: %s", error)
-        return model, fitted
+        problem = SensorSearch(recording, settings, limit, max_shapes)
+        if start is None:
+            _log_provisional(problem)
+        model, result = search(problem, limit, start, update)
+        if result.chi2 <= MAX_ROUGH_CHI2:
+            predictions = problem.predictions(model, recording)
+            return replace(result, through_gel=True, predictions=predictions)
+        _log.warning(
+            "Forces are those of the gel alone: gel and object in one equilibrium leave a mean "
+            "squared residual of %.2g. Check the sensor's pose, and modulus and size of its "
+            "gel.", result.chi2,
+        )  # fmt: skip
+    except CancelledError:
+        raise
+    except UNCOMPUTABLE as error:
+        _log.warning("Forces are those of the gel alone, as gel and object have no fit: %s", error)
+    return None
 
 
 @dataclass(eq=False)
@@ -230,12 +216,9 @@ def search(
     start: ShapeReconstruction | Start | None = None,
     update: Callable[[str], None] = lambda what: None,
     before: _Path | None = None,
-    *,
-    brief: bool = False,
 ) -> tuple[Model, ShapeReconstruction]:
     """Accept models of more evidence until there is none; return the last one, and the result.
 
-    The posterior of a `brief` search is linearised at the model, as another one will replace it.
     `update` is called with what is done next. The search starts from the model of the one `before`,
     on a part of the presses, or from `start`, see `find_shapes`.
     """
@@ -259,9 +242,7 @@ def search(
         model = _final(problem, model)
         path.state = _state(model)
         update("posterior")
-        best, posterior = model, make_posterior(model, problem.sites)
-        if not brief:
-            best, posterior = problem.posterior(model)
+        best, posterior = problem.posterior(model)
         if best is not model:
             path.history.append(record("balls as ellipsoids", best.fit))
         result = _result(problem, best, posterior, path.history)
