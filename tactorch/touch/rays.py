@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
 from tactorch.mesh import BodyFile, Shape, TetMesh
 from tactorch.mesh.curved import curved_offsets
@@ -13,7 +14,7 @@ from tactorch.sensor.poses import Pose, transform_points
 
 _MIN_FACING = 0.2  # cosine of the angle between z and the normal of a surface that is seen
 _INSIDE = -1e-9  # barycentric coordinate of a point on an edge
-_CHUNK = 1_000_000  # pairs of rays and triangles at once
+_MARGIN = 1e-6  # of the circle about a triangle, over its radius
 _MAX_STEPS = 100  # of a ray along a signed distance
 _ON_SURFACE_MM = 1e-7
 
@@ -40,32 +41,43 @@ def first_hits(points: Points, triangles: Triangles, rays: Rays) -> Hits:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
     facing = np.flatnonzero(normals[:, 2] < -_MIN_FACING * lengths)
-    found = np.full(len(rays), -1), np.zeros((len(rays), 3)), np.full(len(rays), np.inf)
-    if len(facing):
-        step = max(1, _CHUNK // len(facing))
-        for begin in range(0, len(rays), step):
-            part = slice(begin, begin + step)
-            row, shares, z = _lowest(corners[facing], rays[part])
-            found[0][part] = np.where(np.isfinite(z), facing[row], -1)
-            found[1][part], found[2][part] = shares, z
-    return Hits(*found)
+    hits = Hits(np.full(len(rays), -1), np.zeros((len(rays), 3)), np.full(len(rays), np.inf))
+    row, ray = _near(corners[facing, :, :2], rays)
+    shares = _barycentric(corners[facing[row], :, :2], rays[ray])
+    inside = (shares >= _INSIDE).all(axis=1)
+    row, ray, shares = row[inside], ray[inside], shares[inside]
+    heights = (shares * corners[facing[row], :, 2]).sum(axis=1)
+    order = np.lexsort((row, heights, ray))
+    met, first = np.unique(ray[order], return_index=True)
+    lowest = order[first]
+    hits.triangles[met], hits.z_mm[met] = facing[row[lowest]], heights[lowest]
+    hits.barycentric[met] = shares[lowest]
+    return hits
 
 
-def _lowest(
-    corners: Float[np.ndarray, "t 3 3"], rays: Rays
-) -> tuple[Int[np.ndarray, " q"], Float[np.ndarray, "q 3"], Float[np.ndarray, " q"]]:
-    first = corners[:, 0, :2]
-    u, v = corners[:, 1, :2] - first, corners[:, 2, :2] - first
+def _near(
+    flat: Float[np.ndarray, "t 3 2"], rays: Rays
+) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+    """Return the triangles and rays of all pairs in which a ray is in a circle about a triangle."""
+    middles = flat.mean(axis=1)
+    radii = np.linalg.norm(flat - middles[:, None], axis=2).max(axis=1)
+    found = cKDTree(rays).query_ball_point(middles, (1.0 + _MARGIN) * radii)
+    counts = [len(one) for one in found]
+    none = np.zeros(0, dtype=np.int64)
+    pairs = np.concatenate([none, *(np.array(one, dtype=np.int64) for one in found)])
+    return np.repeat(np.arange(len(flat)), counts), pairs
+
+
+def _barycentric(
+    flat: Float[np.ndarray, "p 3 2"], rays: Float[np.ndarray, "p 2"]
+) -> Float[np.ndarray, "p 3"]:
+    """Return the barycentric coordinates of each ray in a triangle."""
+    first = flat[:, 0]
+    u, v, offset = flat[:, 1] - first, flat[:, 2] - first, rays - first
     area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-    offset = rays[:, None] - first
-    second = (offset[..., 0] * v[:, 1] - offset[..., 1] * v[:, 0]) / area
-    third = (u[:, 0] * offset[..., 1] - u[:, 1] * offset[..., 0]) / area
-    shares = np.stack([1.0 - second - third, second, third], axis=-1)
-    inside = (shares >= _INSIDE).all(axis=-1)
-    heights = np.where(inside, np.einsum("qtc,tc->qt", shares, corners[..., 2]), np.inf)
-    row = heights.argmin(axis=1)
-    every = np.arange(len(rays))
-    return row, shares[every, row], heights[every, row]
+    second = (offset[:, 0] * v[:, 1] - offset[:, 1] * v[:, 0]) / area
+    third = (u[:, 0] * offset[:, 1] - u[:, 1] * offset[:, 0]) / area
+    return np.column_stack([1.0 - second - third, second, third])
 
 
 def surface_heights(shape: Shape | TetMesh, pose: Pose, rays: Rays) -> Float[np.ndarray, " q"]:

@@ -36,15 +36,18 @@ def test_lowest_of_two_sheets_is_seen_and_back_sides_are_not() -> None:
     np.testing.assert_allclose(hits.barycentric[0] @ points[triangles[0]], (0, 0, 1), atol=1e-12)
 
 
-def test_rays_may_go_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """So they do where there are more triangles than pairs that are made at once."""
-    surface = Hemisphere((0.0, 0.0, 0.0), 6.0, (0.0, 0.0, -1.0)).surface(24)
-    rays = np.array([(0.1, 0.2), (2.0, 1.0), (8.0, 0.0)])
-    together = first_hits(*surface, rays)
-    assert np.isfinite(together.z_mm).tolist() == [True, True, False]
-    monkeypatch.setattr("tactorch.touch.rays._CHUNK", 1)
-    for found, expected in zip(first_hits(*surface, rays), together, strict=True):
-        np.testing.assert_allclose(found, expected, atol=1e-12)
+def test_hits_are_the_lowest_of_all_triangles() -> None:
+    points, triangles = Hemisphere((0.0, 0.0, 0.0), 6.0, (0.0, 0.0, -1.0)).surface(12)
+    rays = np.random.default_rng(0).uniform(-7.0, 7.0, (40, 2))
+    hits = first_hits(points, triangles, rays)
+    for ray, z in zip(rays, hits.z_mm, strict=True):
+        one = [first_hits(points, triangle[None], ray[None]).z_mm[0] for triangle in triangles]
+        assert z == min(one)
+    assert 10 < np.isfinite(hits.z_mm).sum() < 40
+    met = hits.triangles >= 0
+    corners = points[triangles[hits.triangles[met]]]
+    found = np.einsum("qc,qcd->qd", hits.barycentric[met], corners)
+    np.testing.assert_allclose(found, np.column_stack([rays, hits.z_mm])[met], atol=1e-12)
 
 
 def test_bodies_of_files_are_their_triangles(tmp_path: Path) -> None:
