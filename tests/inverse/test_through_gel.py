@@ -196,7 +196,8 @@ def test_errors_of_the_discretisation_are_smooth_and_belong_to_a_contact(
     assert data.correlated is not None
     patterns = data.correlated.patterns / data.scale[:, None]
     covariance = (patterns @ patterns.T).reshape(4, -1, 2, 4, len(SENSOR.markers.positions_mm), 2)
-    remaining, smooth = 1e-4, 0.003 * np.sqrt(np.mean(moving.presses[0].gel.displacement_mm ** 2))
+    remaining, size = 1e-4, np.sqrt(np.mean(moving.presses[0].gel.displacement_mm ** 2))
+    smooth = np.hypot(0.003 * size, remaining)
     at_rest = moving.presses[0].gel.deviations_mm[60] ** 2 / 2
     assert covariance[0, 60, 0, 0, 60, 0] == pytest.approx(
         remaining**2 + smooth**2 + at_rest, rel=1e-2

@@ -40,6 +40,7 @@ _QUICK_STARTS = 2  # fits of an inclusion for a provisional answer
 # Tolerances of fits: within one standard deviation of the optimum, and a sixth of the gain by which
 # models are accepted; and within a fifth of a standard deviation, for the last fit.
 ROUGH, FINE = 0.5, 0.02
+_SAME_MODEL = 3.0  # change of a parameter that a correction outlasts, in standard deviations
 #: Families as which inclusions are tried where presses show their form.
 FORMS = ("ellipsoid", "cuboid", "rod", "tapered rod", "bent rod", "ring", "irregular lump")
 
@@ -97,6 +98,7 @@ class SearchProblem:
     trial_share: ClassVar[float] = 1.0
     min_gain: float = MIN_GAIN
     _reduced_sites: Sites
+    _corrected_at: tuple[ShapeFit, Levels] | None = None
 
     def __init__(self, stop: Callable[[], bool] = lambda: False, max_shapes: int = 0) -> None:
         self.max_shapes = max_shapes
@@ -139,6 +141,16 @@ class SearchProblem:
     def precise(self, model: Model) -> Model:
         """Return an accepted model with predictions as exact as the search needs them."""
         return model
+
+    def _is_corrected(self, model: Model) -> bool:
+        """Whether the last correction was computed at nearly the same parameters."""
+        if self._corrected_at is None:
+            return False
+        (last, errors), fit = self._corrected_at, model.fit
+        if last.field is not fit.field or self.errors.differs(errors, model.errors):
+            return False
+        deviations = np.sqrt(np.diag(fit.covariance))
+        return bool((np.abs(fit.z - last.z) <= _SAME_MODEL * deviations).all())
 
     def first(self, start: Start) -> Model:
         """Fit the first model of a search.

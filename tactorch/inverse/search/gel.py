@@ -1,10 +1,11 @@
 """Presses of sensors, and grasps, as problems of the search: gels and object in one equilibrium."""
 
+import logging
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tactorch.errors import ConvergenceError
+from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.inverse.data.observations import DataModel
 from tactorch.inverse.errors import ErrorModel, Levels, MeasuredPresses
 from tactorch.inverse.fields import InclusionShape, ShapeField, ShapePrior, Sites, Vector
@@ -37,6 +38,7 @@ from tactorch.inverse.search.proposals import (
 from tactorch.inverse.search.slabs import inclusions_as_steps, simpler_background, slabs
 from tactorch.recording import Recording
 
+_log = logging.getLogger(__name__)
 _STEPS, _LARGEST, _CLOSE = 12, 1.5, 0.05  # steps of the log of a uniform modulus
 _ROUGH = 0.3  # of a modulus that is fitted further
 # Modulus over that of the gels beyond which the object is rigid: another one changes the force of
@@ -147,8 +149,9 @@ class GelSearch(SearchProblem):
 class SensorSearch(GelSearch):
     """Presses of a sensor with markers: a search through gel and object; see `SearchProblem`.
 
-    Markers within the contacts are used. What the mesh changes of them is corrected by a finer one
-    at each accepted model. Presses before first touch are left out.
+    Markers within the contacts are used. What the mesh changes of them is corrected at each
+    accepted model, by a mesh that is finer at the ends of contacts and at inclusions. Presses
+    before first touch are left out.
 
     Raises:
         ConfigError: see `GelProblem`.
@@ -188,30 +191,42 @@ class SensorSearch(GelSearch):
         self._check()
         evaluation = self.full.evaluate(youngs, starts=starts)
         self._linearise_about(self.full, evaluation)
-        self._correction = GelCorrection(self.full, self._rims, typical)
         self._fine_at: tuple[InclusionShape, ...] = ()
+        self._correction = self._finer(())
         self._correct(ShapeField(self.prior), np.zeros(1), evaluation)
 
     def precise(self, model: Model) -> Model:
         """Return an accepted model, fitted to data that are corrected there."""
-        change = np.log(model.evaluation.youngs / self._corrected_mpa)
-        if np.abs(change).max() < REMAINING:  # of the correction, which changes as much
-            return model
-        return self._corrected(model, None)
+        return self._corrected(model) or model
 
     def final(self, model: Model) -> Model:
-        """Return the model fitted closely, corrected by a mesh that is finer at its inclusions."""
-        shapes = tuple(model.fit.field.shapes(model.fit.z))
-        if not _are_near(shapes, self._fine_at):
-            self._correction = GelCorrection(self._measured, self._rims, self.typical_mpa, shapes)
-            self._fine_at = shapes
-        return self._corrected(model, self.final_tolerance)
+        """Return the model fitted closely to data that are corrected there."""
+        return self._corrected(model, self.final_tolerance) or super().final(model)
 
-    def _corrected(self, model: Model, tolerance: float | None) -> Model:
+    def _corrected(self, model: Model, tolerance: float | None = None) -> Model | None:
+        """Return the model fitted to data that are corrected there; None where they are already."""
+        shapes = tuple(model.fit.field.shapes(model.fit.z))
+        change = np.log(model.evaluation.youngs / self._corrected_mpa)
+        is_same = self._is_corrected(model) or np.abs(change).max() < REMAINING
+        is_fine = _are_near(shapes, self._fine_at)
+        if is_fine and is_same:
+            return None
         self._check()
-        assert isinstance(model.evaluation, GelEvaluation)
-        self._correct(model.fit.field, model.fit.z, model.evaluation)
+        before = self._correction, self._fine_at
+        try:
+            if not is_fine:
+                self._correction, self._fine_at = self._finer(shapes), shapes
+            assert isinstance(model.evaluation, GelEvaluation)
+            self._correct(model.fit.field, model.fit.z, model.evaluation)
+        except (ConfigError, ConvergenceError) as error:
+            self._correction, self._fine_at = before
+            _log.warning("The error of the mesh is that of the model before: %s", error)
+            return None
+        self._corrected_at = model.fit, model.errors
         return self._fit_further(model, "corrected", tolerance)
+
+    def _finer(self, shapes: Sequence[InclusionShape]) -> GelCorrection:
+        return GelCorrection(self._measured, self._rims, self.typical_mpa, shapes)
 
     def _correct(self, field: ShapeField, z: Vector, evaluation: GelEvaluation) -> None:
         """Correct the data for the mesh, with errors about a model."""

@@ -44,7 +44,7 @@ def with_gel_errors(
     uncertain = evaluation.uncertain(problem.contact_of, problem.readings)
     owner, change = np.repeat(contacts, data.counts), REMAINING * np.concatenate(offsets)
     remaining = np.where(owner[:, None] == np.arange(contacts.max() + 1), change[:, None], 0.0)
-    patterns = np.hstack([remaining, *_smooth_errors(problem, owner)])
+    patterns = np.hstack([remaining, *_smooth_errors(problem, owner, offsets)])
     common = np.hstack([uncertain, patterns * data.scale[:, None]])
     kept = (common != 0.0).any(axis=0)
     common = np.hstack([common[:, kept], problem.marker_errors.toarray()])
@@ -52,17 +52,25 @@ def with_gel_errors(
 
 
 def _smooth_errors(
-    problem: GelProblem, owner: Int[np.ndarray, " data"]
+    problem: GelProblem, owner: Int[np.ndarray, " data"], offsets: list[Float[np.ndarray, " _"]]
 ) -> Iterator[Float[np.ndarray, "data k"]]:
     """Yield the smooth errors (mm) of each contact, by the contact of each datum."""
     for k in range(owner.max() + 1):
-        own = [r for r, at in zip(problem.readings, problem.contact_of, strict=True) if at == k]
-        smooth = smooth_patterns(np.concatenate([reading.markers_mm for reading in own]))
-        sizes = [np.sqrt(np.mean(reading.displacement_mm**2)) for reading in own]
-        deviations = _SMOOTH * np.repeat(sizes, [len(reading.markers_mm) for reading in own])
+        own = [i for i, at in enumerate(problem.contact_of) if at == k]
+        readings = [problem.readings[i] for i in own]
+        smooth = smooth_patterns(np.concatenate([reading.markers_mm for reading in readings]))
+        sizes = [
+            np.hypot(_SMOOTH * _rms(reading.displacement_mm), REMAINING * _rms(offsets[i]))
+            for i, reading in zip(own, readings, strict=True)
+        ]
+        deviations = np.repeat(sizes, [len(reading.markers_mm) for reading in readings])
         errors = np.zeros((len(owner), 2 * smooth.shape[1]))
         errors[owner == k] = np.kron(deviations[:, None] * smooth, np.eye(2))
         yield errors
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def gel_sites(mesh: TetMesh) -> Sites:

@@ -11,11 +11,11 @@ from jaxtyping import Float
 from tactorch.errors import ConfigError, ConvergenceError
 from tactorch.fem import NewtonOptions
 from tactorch.inverse.data.observations import group_by_contact
-from tactorch.inverse.errors import ERRORS, ErrorModel, Levels, MeasuredPresses
+from tactorch.inverse.errors import ERRORS, ErrorModel, MeasuredPresses
 from tactorch.inverse.errors.base import KeptRims
 from tactorch.inverse.fields import ShapePrior, Sites
 from tactorch.inverse.fit.settings import Settings
-from tactorch.inverse.fit.shapes import ShapeFit, ShapesOnSites
+from tactorch.inverse.fit.shapes import ShapesOnSites
 from tactorch.inverse.fit.starts import uniform_fit
 from tactorch.inverse.forward.problem import InverseProblem
 from tactorch.inverse.forward.reduced import ReducedProblem
@@ -41,7 +41,6 @@ _log = logging.getLogger(__name__)
 # Error of the discretisation that remains after its correction, over the displacements. It is the
 # same in all presses of a contact.
 _DISCRETISATION = 1e-3
-_SAME_MODEL = 3.0  # change of a parameter that a correction outlasts, in standard deviations
 _DERIVATIVE_RTOL = 2e-3  # of the solves for derivatives: far below the curvature of the objective
 _RTOL = 1e-5  # of equilibria: errors of data below a thousandth of their deviation
 
@@ -106,7 +105,6 @@ class ShapeProblem(SearchProblem):
                 kept=correction.kept,
             )  # fmt: skip
         self.errors = ErrorModel(presses, ERRORS)
-        self._corrected_at: tuple[ShapeFit, Levels] | None = None
         self.matched = MatchedFilter.of(self.reduced)
         self.prior = ShapePrior.of(recording.mesh, youngs)
         self._floored = noise.floored(recording)
@@ -165,16 +163,6 @@ class ShapeProblem(SearchProblem):
     def posterior(self, model: Model) -> tuple[Model, ShapePosterior]:
         """Return the posterior, of balls that may be ellipsoids; see `final_posterior`."""
         return final_posterior(self, model)
-
-    def _is_corrected(self, model: Model) -> bool:
-        """Whether the last correction was computed at nearly the same parameters."""
-        if self._corrected_at is None:
-            return False
-        (last, errors), fit = self._corrected_at, model.fit
-        if last.field is not fit.field or self.errors.differs(errors, model.errors):
-            return False
-        deviations = np.sqrt(np.diag(fit.covariance))
-        return bool((np.abs(fit.z - last.z) <= _SAME_MODEL * deviations).all())
 
     def corrected(self, model: Model, tolerance: float | None = None) -> Model:
         """Return the model fitted to data that are shifted by the error of the discretisation.
