@@ -172,6 +172,8 @@ def better_of(
     than that of a model that is accepted in the search, and where they cannot be computed.
     """
     assert inclusions.shapes is not None
+    if inclusions.shapes.through_gel:  # whose data are markers, and not nodes
+        return replace(inclusions, other=elements)
     what = "how well the element map predicts held-out presses"
     score = _at_solution(elements, recording, settings, what, _held_out_score)
     scores = inclusions.shapes.held_out, score

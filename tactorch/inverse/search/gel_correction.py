@@ -4,8 +4,9 @@ The data are the displacements of markers within the contacts, through the equil
 object.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,9 +19,10 @@ from tactorch.inverse.fields import InclusionShape, ShapeField, Sites, Vector
 from tactorch.inverse.fit.shapes import ShapesOnSites
 from tactorch.inverse.forward.gel import GelEvaluation, GelProblem, Rim
 from tactorch.inverse.search.sizing import inclusion_sizing, sharp_edge_sizing, smallest
+from tactorch.linalg import map_cases
 from tactorch.mesh import TetMesh
 from tactorch.mesh.curved import onto_curved_surface
-from tactorch.recording import refine_recording
+from tactorch.recording import Recording, refine_recording
 from tactorch.touch.pairing import ELEMENT
 
 # Edges of the finer mesh at the end of a contact, over its size; cells across and through its gel.
@@ -78,14 +80,65 @@ def gel_sites(mesh: TetMesh) -> Sites:
     return Sites.around(mesh, ELEMENTS[ELEMENT].points)
 
 
+class _FineContact(NamedTuple):
+    """A contact on a mesh that is fine there.
+
+    Attributes:
+        presses: Numbers of its presses.
+        solved: Those that are solved, numbered within the contact.
+        problem: The presses.
+        sites: Quadrature points of the object.
+    """
+
+    presses: list[int]
+    solved: list[int]
+    problem: GelProblem
+    sites: Sites
+
+    @staticmethod
+    def of(
+        recording: Recording,
+        presses: list[int],
+        rim: Rim,
+        solved: Collection[int],
+        youngs_mpa: float,
+        inclusions: Sequence[InclusionShape],
+    ) -> "_FineContact":
+        at_rim = rim.sizing(_SHORTEST)
+        on_object = [rim.on_object(at_rim), sharp_edge_sizing(recording.mesh)]
+        if inclusions:
+            on_object.append(inclusion_sizing(inclusions))
+        fine = refine_recording(recording.select(presses), smallest(*on_object))
+        # Triangles of the coarse mesh are chords of a curved body: with nodes on them, markers on
+        # a hemisphere of 30 mm were off by 1.2 um, and by 0.5 um with nodes on the curved surface.
+        curved = onto_curved_surface(fine.mesh, recording.mesh)
+        problem = GelProblem(
+            replace(fine, mesh=curved, check_units=False),
+            youngs_mpa,
+            cells=_CELLS,
+            layers=_LAYERS,
+            gel_sizing=[at_rim],
+            surface=recording.mesh,
+            rtol=_RTOL,
+        )
+        own = [k for k, number in enumerate(presses) if number in solved]
+        return _FineContact(presses, own, problem, gel_sites(curved))
+
+    def predicted(self, field: ShapeField, z: Vector) -> dict[int, Float[np.ndarray, " data"]]:
+        """Return the data (mm) by the number of the press."""
+        youngs = ShapesOnSites(field, self.sites).at(z).youngs
+        found = self.problem.predicted_alone(youngs, self.solved)
+        return {self.presses[k]: data for k, data in found.items()}
+
+
 class GelCorrection:
-    """Predictions of a finer mesh, less those of the common one.
+    """Predictions of finer meshes, one for each contact, less those of the common one.
 
     Args:
         problem: The presses, with markers within the contacts.
         rims: Where the contact of each ends.
         youngs_mpa: Typical modulus of the object, MPa.
-        inclusions: Inclusions at whose boundaries the mesh is finer, too.
+        inclusions: Inclusions at whose boundaries the meshes are finer, too.
     """
 
     def __init__(
@@ -95,31 +148,19 @@ class GelCorrection:
         youngs_mpa: float,
         inclusions: Sequence[InclusionShape] = (),
     ) -> None:
-        recording, last = problem.recording, problem.deepest_of_contacts
-        sizings = [rims[number].sizing(_SHORTEST) for number in last]
-        on_object = [rims[i].on_object(one) for i, one in zip(last, sizings, strict=True)]
-        on_object.append(sharp_edge_sizing(recording.mesh))
-        if inclusions:
-            on_object.append(inclusion_sizing(inclusions))
-        fine = refine_recording(recording, smallest(*on_object))
-        # Triangles of the coarse mesh are chords of a curved body: with nodes on them, markers on
-        # a hemisphere of 30 mm were off by 1.2 um, and by 0.5 um with nodes on the curved surface.
-        curved = onto_curved_surface(fine.mesh, recording.mesh)
-        fine = replace(fine, mesh=curved, check_units=False)
-        self._sites = gel_sites(fine.mesh)
-        self._problem = GelProblem(
-            fine,
-            youngs_mpa,
-            cells=_CELLS,
-            layers=_LAYERS,
-            gel_sizing=sizings,
-            surface=recording.mesh,
-            rtol=_RTOL,
-        )
+        self._readings, self._deepest = problem.readings, problem.deepest
         sizes = np.array([rim.size_mm for rim in rims])
-        owner = [number for number, _ in problem.deepest]
-        is_smaller = sizes < _SAME_SIZE * sizes[owner]
-        self._solved = sorted({*owner, *np.flatnonzero(is_smaller).tolist()})
+        owner = [number for number, _ in self._deepest]
+        solved = {*owner, *np.flatnonzero(sizes < _SAME_SIZE * sizes[owner]).tolist()}
+        last, contact_of = problem.deepest_of_contacts, np.array(problem.contact_of)
+
+        def fine(k: int) -> _FineContact:
+            presses = np.flatnonzero(contact_of == k).tolist()
+            return _FineContact.of(
+                problem.recording, presses, rims[last[k]], solved, youngs_mpa, inclusions
+            )
+
+        self._contacts = map_cases(fine, len(last))
 
     def offsets(
         self, field: ShapeField, z: Vector, evaluation: GelEvaluation
@@ -129,19 +170,18 @@ class GelCorrection:
         They are computed for the deepest press of each contact, and for those whose contact is
         smaller; they grow with a power of the depth in others.
         """
-        youngs = ShapesOnSites(field, self._sites).at(z).youngs
-        predicted = self._problem.predicted_alone(youngs, self._solved)
+        parts = map_cases(lambda k: self._contacts[k].predicted(field, z), len(self._contacts))
+        predicted = {i: data for part in parts for i, data in part.items()}
         changes = {
             i: (one - evaluation.predicted[i]).reshape(-1, 2) for i, one in predicted.items()
         }
-        found, readings = [], self._problem.readings
-        for i, (reading, (number, share)) in enumerate(
-            zip(readings, self._problem.deepest, strict=True)
-        ):
+        found = list[np.ndarray]()
+        for i, (number, share) in enumerate(self._deepest):
             if i in changes:
                 found.append(changes[i].ravel())
                 continue
             # Not all markers may be seen in both presses.
-            _, nearest = cKDTree(readings[number].markers_mm).query(reading.markers_mm)
+            markers = self._readings[number].markers_mm, self._readings[i].markers_mm
+            nearest = cKDTree(markers[0]).query(markers[1])[1]
             found.append(share**_POWER * changes[number][nearest].ravel())
         return found
