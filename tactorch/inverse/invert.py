@@ -169,10 +169,11 @@ def better_of(
     """Return the description that predicts held-out contacts better, with the other one.
 
     The simpler one, by inclusions, is returned where the log-densities of all data differ by less
-    than that of a model that is accepted in the search, and where they cannot be computed.
+    than that of a model that is accepted in the search, and where they cannot be computed or are of
+    different data, as those of a sensor's markers.
     """
     assert inclusions.shapes is not None
-    if inclusions.shapes.through_gel:  # whose data are markers, and not nodes
+    if inclusions.shapes.through_gel:
         return replace(inclusions, other=elements)
     what = "how well the element map predicts held-out presses"
     score = _at_solution(elements, recording, settings, what, _held_out_score)

@@ -4,20 +4,25 @@ The presses are solved on another, finer mesh.
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from scipy.interpolate import CloughTocher2DInterpolator
 
-from tactorch.errors import CancelledError, ConfigError
+from tactorch.errors import CancelledError, ConfigError, MeshError
 from tactorch.inverse import Settings
-from tactorch.inverse.fields import BALL, ShapeField, ShapePrior
+from tactorch.inverse.fields import BALL, InclusionShape, ShapeField, ShapePrior
+from tactorch.inverse.fit.monitor import StopReason
 from tactorch.inverse.fit.shapes import ShapesOnSites
 from tactorch.inverse.forward.gel import GelProblem, has_markers, pressed, within_contacts
+from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.result.shapes import ShapeReconstruction
+from tactorch.inverse.search.gel import SensorSearch, _are_near
 from tactorch.inverse.search.gel_correction import gel_sites, with_gel_errors
-from tactorch.inverse.search.model import TimeLimit
+from tactorch.inverse.search.model import Model, TimeLimit
 from tactorch.inverse.search.search import _through_gel, find_shapes
 from tactorch.mesh import Box, Sphere, box_mesh
 from tactorch.phantoms import Phantom
@@ -228,9 +233,14 @@ def test_a_ball_is_found_from_the_markers(solved: Recording) -> None:
     assert found.background_mpa == pytest.approx(AROUND, rel=0.05)
     assert lump.shape.radius_mm == pytest.approx(RADIUS, rel=0.05)
     assert lump.youngs_mpa == pytest.approx(YOUNGS, rel=0.2)
-    # Predictions are of the nodes of the object, in all presses.
+    # Predictions are of the nodes of the object, in all presses: the first one is from above.
     assert found.predictions is not None
-    assert found.predictions.displacements.shape == (4, solved.mesh.n_points, 3)
+    moved, points = found.predictions.displacements, solved.mesh.points
+    assert moved.shape == (4, len(points), 3)
+    middle = np.linalg.norm(points - (5.0, 5.0, 10.0), axis=1).argmin()
+    assert -DEPTHS[0] < moved[0, middle, 2] < 0.7 * moved[1, middle, 2] < 0.0
+    middle = np.linalg.norm(points - (10.0, 5.0, 5.0), axis=1).argmin()
+    assert -DEPTHS[1] < moved[3, middle, 0] < 1.5 * moved[2, middle, 0] < 0.0
 
 
 def test_markers_within_the_contact_are_used(problem: GelProblem, recording: Recording) -> None:
@@ -325,6 +335,65 @@ def test_other_laws_and_weight_are_refused(
 ) -> None:
     with pytest.raises(ConfigError, match=message):
         GelProblem(replace(recording, **change), AROUND)
+
+
+def result(chi2: float, ended: StopReason | None) -> ShapeReconstruction:
+    field = ShapeField(ShapePrior.of(box_mesh(10.0, 2), AROUND), (BALL,))
+    z = np.zeros(field.size)
+    posterior = ShapePosterior(field, z, np.zeros(len(z)), 0.01 * np.eye(len(z)))
+    return ShapeReconstruction(
+        field, z, posterior, chi2, (9.0,), 9.0, {}, 0.0, (), ended=ended
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("chi2", "ended", "is_kept"),
+    [(1.0, None, True), (4.0, None, False), (4.0, StopReason.TIME_LIMIT, True)],
+)
+def test_markers_that_are_not_explained_are_searched_by_forces(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture,
+    chi2: float, ended: StopReason | None, is_kept: bool,
+) -> None:  # fmt: skip
+    """But not where the search was ended before it had explained them."""
+    module = "tactorch.inverse.search.search"
+    problem = SimpleNamespace(predictions=lambda model, recording: None)
+    monkeypatch.setattr(f"{module}.SensorSearch", lambda *arguments: problem)
+    monkeypatch.setattr(f"{module}._log_provisional", lambda problem: None)
+    monkeypatch.setattr(f"{module}.search", lambda *arguments: (None, result(chi2, ended)))
+    found = searched(recording)
+    assert (found is not None) == is_kept
+    assert ("mean squared residual of 4" in caplog.text) == (not is_kept)
+    assert found is None or found.through_gel
+
+
+def test_a_correction_that_fails_leaves_the_one_before(caplog: pytest.LogCaptureFixture) -> None:
+    def fails(shapes: object) -> None:
+        raise MeshError("too fine")
+
+    search, field = SensorSearch.__new__(SensorSearch), result(1.0, None).field
+    before = {"full": "data", "errors": "errors", "_correction": "mesh", "_fine_at": ()}
+    vars(search).update(before, _corrected_mpa=np.ones(3), _finer=fails, _check=lambda: None)
+    fit = SimpleNamespace(field=field, z=np.zeros(field.size))
+    model = Mock(spec=Model)
+    model.fit, model.evaluation = fit, SimpleNamespace(youngs=np.full(3, 2.0))
+    assert search.precise(model) is model
+    assert {name: getattr(search, name) for name in before} == before
+    assert search._corrected_at is None
+    assert "The error of the mesh is that of the model before: too fine" in caplog.text
+
+
+def inclusion(half_mm: tuple[float, float, float], turn: np.ndarray) -> InclusionShape:
+    return InclusionShape(CENTER, half_mm, tuple(map(tuple, turn)), 4.0)
+
+
+def test_a_mesh_is_fine_for_inclusions_that_hardly_differ() -> None:
+    ball, rod = inclusion((2.0, 2.0, 2.0), np.eye(3)), inclusion((4.0, 1.0, 1.0), np.eye(3))
+    assert _are_near([ball], [inclusion((2.1, 2.0, 1.9), np.eye(3))])
+    assert _are_near([ball], [inclusion((2.0, 2.0, 2.0), _turn(1.0))])
+    assert not _are_near([ball], [inclusion((4.0, 2.0**0.5, 2.0**0.5), np.eye(3))])
+    assert not _are_near([rod], [inclusion((4.0, 1.0, 1.0), _turn(1.0))])
+    assert not _are_near([ball], [replace(ball, center_mm=(6.5, 4.6, 6.8))])
+    assert not _are_near([ball], [])
 
 
 def test_a_search_can_be_stopped(recording: Recording) -> None:

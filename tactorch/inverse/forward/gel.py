@@ -7,7 +7,7 @@ force is a datum where it is measured.
 """
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -368,14 +368,17 @@ class GelProblem(InverseProblem):
             found.append((last[k], min(max(share, 0.0), 1.0)))
         return found
 
-    def predicted_alone(self, youngs: Moduli, numbers: Sequence[int]) -> dict[int, _Data]:
+    def predicted_alone(
+        self, youngs: Moduli, numbers: Sequence[int], check: Callable[[], None]
+    ) -> dict[int, _Data]:
         """Return the data (mm or N) of some presses by number, without what derivatives need.
 
-        Equilibria are searched from those of the last call.
+        Equilibria are searched from those of the last call. `check` is called before each.
         """
         starts = [self._last.get(i) for i in range(len(self.readings))]
 
         def predicted(number: int) -> _Data:
+            check()
             press = self._solve(number, youngs, starts)
             self._last[number] = press.state.displacement
             press.coupled.forget()
@@ -385,6 +388,11 @@ class GelProblem(InverseProblem):
         groups = [[i for i in numbers if i in contact.numbers] for contact in self._touched]
         parts = map_cases(lambda k: {i: predicted(i) for i in groups[k]}, len(groups))
         return {i: data for part in parts for i, data in part.items()}
+
+    def forget(self) -> None:
+        """Free solvers that no evaluation uses, which take gigabytes."""
+        for contact in self._touched:
+            contact.coupled.forget()
 
     def _solve(self, number: int, youngs: Moduli, starts: Sequence[NodalField | None]) -> _GelPress:
         contact, sticking = self._touched[self.contact_of[number]], self._sticking.get(number)

@@ -108,8 +108,8 @@ class SearchProblem:
         """Return the posterior of a final model, and the model or one of more evidence."""
         return model, make_posterior(model, self.sites)
 
-    def predictions(self, model: Model, recording: Recording) -> Predictions:
-        """Return the predictions of all presses of a recording at a final model."""
+    def predictions(self, model: Model, recording: Recording) -> Predictions | None:
+        """Return the predictions of all presses of a recording at a final model, if there are."""
         return Predictions.of(model.evaluation, recording)
 
     def provisional(self) -> ShapeFit:
@@ -289,8 +289,13 @@ class SearchProblem:
 
     def held_out_score(self, fit: ShapeFit, errors: Levels) -> float | None:
         """Return how well a fit predicts the presses of a contact from the others."""
-        data, contacts = self.data(errors), contacts_of(self.full.recording)
-        return held_out_score(data, contacts, fit.residuals, fit.jacobian, fit.covariance)
+        data = self.data(errors)
+        return held_out_score(data, self.contacts, fit.residuals, fit.jacobian, fit.covariance)
+
+    @property
+    def contacts(self) -> Sequence[Sequence[int]]:
+        """Numbers of the presses of each contact."""
+        return contacts_of(self.full.recording)
 
     def predictive_gain(self, score: float | None, rival: ShapeFit, errors: Levels) -> float | None:
         """Return the log-density of held-out presses of a score over that by a rival."""

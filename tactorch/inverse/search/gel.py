@@ -2,10 +2,12 @@
 
 import logging
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
+from jaxtyping import Float
 
-from tactorch.errors import ConfigError, ConvergenceError
+from tactorch.errors import UNCOMPUTABLE, CancelledError, ConvergenceError
 from tactorch.inverse.data.observations import DataModel
 from tactorch.inverse.errors import ErrorModel, Levels, MeasuredPresses
 from tactorch.inverse.fields import InclusionShape, ShapeField, ShapePrior, Sites, Vector
@@ -20,13 +22,12 @@ from tactorch.inverse.posterior.shapes import ShapePosterior
 from tactorch.inverse.search.base import FORMS, SearchProblem
 from tactorch.inverse.search.final_posterior import final_posterior
 from tactorch.inverse.search.gel_correction import (
-    REMAINING,
     GelCorrection,
     gel_sites,
     with_gel_errors,
 )
 from tactorch.inverse.search.matched import MatchedFilter
-from tactorch.inverse.search.model import Model
+from tactorch.inverse.search.model import Model, Start
 from tactorch.inverse.search.proposals import (
     backgrounds,
     changed,
@@ -44,9 +45,12 @@ _ROUGH = 0.3  # of a modulus that is fitted further
 # Modulus over that of the gels beyond which the object is rigid: another one changes the force of
 # a grasp by less than its deviation.
 _RIGID = 1e2
-# Distance of an inclusion from another, over its radius, at which elements at the boundary of one
-# are hardly larger at that of the other.
+# Distance of an inclusion from another, over its smallest detail, at which elements at the boundary
+# of one are hardly larger at that of the other.
 _NEAR = 0.25
+# Change of the log-modulus that a correction outlasts: it changes as much, by less than the error
+# that remains of it.
+_SAME_LOG = 0.1
 _MARGIN = 0.08  # distance of markers from the end of the contact, over its size
 
 
@@ -111,21 +115,26 @@ class GelSearch(SearchProblem):
 
     def _linearise_about(self, problem: GelProblem, evaluation: GelEvaluation) -> None:
         """Prepare the reduced model about a uniform body, whose equilibria are given."""
-        mesh, self._about = problem.recording.mesh, evaluation
+        mesh, self._first = problem.recording.mesh, evaluation.displacements
         self._reduced_sites = Sites.around(mesh)
         self.reduced = ReducedProblem(problem, evaluation)
         self.matched = MatchedFilter.of(self.reduced)
-        self.typical_mpa = float(evaluation.youngs.flat[0])
-        self.prior = ShapePrior.of(mesh, self.typical_mpa)
+        self.prior = ShapePrior.of(mesh, float(evaluation.youngs.flat[0]))
 
     def _use(self, data: DataModel) -> None:
         """Fit to these data from now on."""
         self.full = self.full.with_data(data)
         self.errors = ErrorModel(MeasuredPresses(self.full), ())
 
-    def uniform(self) -> Model:
-        """Fit the uniform body, from the one about which errors are linearised."""
-        return self.precise(self.fit(self._uniform, self._about.displacements))
+    def first(self, start: Start) -> Model:
+        """Fit the first model, from the equilibria about which errors are linearised."""
+        return self.precise(self.fit(start, self._first))
+
+    @property
+    def contacts(self) -> Sequence[Sequence[int]]:
+        """Numbers of the presses of each contact: those of the same first pose."""
+        numbers = np.array(self.full.contact_of)
+        return [np.flatnonzero(numbers == k).tolist() for k in range(int(numbers.max()) + 1)]
 
     def data(self, errors: Levels) -> DataModel:
         """Return the data, whose errors are those of gel and poses."""
@@ -176,11 +185,13 @@ class SensorSearch(GelSearch):
         self.sites = gel_sites(recording.mesh)
         self._noise = settings.noise
         some, touching = pressed(recording, _gel_mpa(recording))
+        guess = gel_mpa = _gel_mpa(recording)
         by_forces = InverseProblem(recording, solver=settings.solver, noise=settings.noise)
-        guess, gel_mpa = best_uniform(by_forces, settings.bounds), _gel_mpa(recording)
+        with suppress(ConvergenceError):
+            guess = best_uniform(by_forces, settings.bounds)
         guess = float(np.clip(guess, gel_mpa / _RIGID, gel_mpa * _RIGID))
         first = self._best_uniform(some, settings, guess, _ROUGH)
-        typical = float(first.youngs.flat[0])
+        self._typical_mpa = typical = float(first.youngs.flat[0])
         rims = self.full.rims(first)
         within, numbers = within_contacts(some, rims, _MARGIN)
         self._rims = [rims[number] for number in numbers]
@@ -207,43 +218,51 @@ class SensorSearch(GelSearch):
         """Return the model fitted to data that are corrected there; None where they are already."""
         shapes = tuple(model.fit.field.shapes(model.fit.z))
         change = np.log(model.evaluation.youngs / self._corrected_mpa)
-        is_same = self._is_corrected(model) or np.abs(change).max() < REMAINING
+        is_same = self._is_corrected(model) or np.abs(change).max() < _SAME_LOG
         is_fine = _are_near(shapes, self._fine_at)
         if is_fine and is_same:
             return None
+        names = "full", "errors", "_correction", "_fine_at", "_corrected_mpa"
+        before = {name: getattr(self, name) for name in names}
         self._check()
-        before = self._correction, self._fine_at
         try:
             if not is_fine:
                 self._correction, self._fine_at = self._finer(shapes), shapes
             assert isinstance(model.evaluation, GelEvaluation)
             self._correct(model.fit.field, model.fit.z, model.evaluation)
-        except (ConfigError, ConvergenceError) as error:
-            self._correction, self._fine_at = before
+            corrected = self._fit_further(model, "corrected", tolerance)
+        except CancelledError:
+            raise
+        except UNCOMPUTABLE as error:
+            vars(self).update(before)
             _log.warning("The error of the mesh is that of the model before: %s", error)
             return None
         self._corrected_at = model.fit, model.errors
-        return self._fit_further(model, "corrected", tolerance)
+        return corrected
 
     def _finer(self, shapes: Sequence[InclusionShape]) -> GelCorrection:
-        return GelCorrection(self._measured, self._rims, self.typical_mpa, shapes)
+        return GelCorrection(self._measured, self._rims, self._typical_mpa, shapes)
 
     def _correct(self, field: ShapeField, z: Vector, evaluation: GelEvaluation) -> None:
         """Correct the data for the mesh, with errors about a model."""
-        offsets = self._correction.offsets(field, z, evaluation)
+        self._measured.forget()
+        offsets = self._correction.offsets(field, z, evaluation, self._check)
         self._use(with_gel_errors(self._measured, evaluation, offsets))
         self._corrected_mpa = evaluation.youngs
 
-    def predictions(self, model: Model, recording: Recording) -> Predictions:
+    def predictions(self, model: Model, recording: Recording) -> Predictions | None:
         """Return the predictions of nodes of the object, which do not move before first touch."""
-        some, touching = pressed(recording, self.typical_mpa)
-        known = dict(zip(self._numbers, model.evaluation.displacements, strict=True))
-        youngs = ShapesOnSites(model.fit.field, self.sites).at(model.fit.z).youngs
-        starts = [known.get(number) for number in touching]
-        found = GelProblem(some, self.typical_mpa).evaluate(youngs, starts=starts)
-        n = recording.mesh.n_points
+        touching = pressed(recording, self._typical_mpa)[1]
+        n, youngs = recording.mesh.n_points, model.evaluation.youngs
         moved = np.zeros((len(recording.presses), n, 3))
-        moved[touching] = [u[:n] for u in found.on_object]
+        moved[self._numbers] = [u[:n] for u in model.evaluation.on_object]
+        if left := sorted({*touching} - {*self._numbers}):
+            problem = GelProblem(recording.select(left), self._typical_mpa)
+            try:
+                moved[left] = [u[:n] for u in problem.evaluate(youngs).on_object]
+            except ConvergenceError as error:
+                _log.warning("The presses of the result have no predictions: %s", error)
+                return None
         return Predictions.of_nodes(moved, recording, self._noise)
 
 
@@ -280,9 +299,16 @@ def _are_near(shapes: Sequence[InclusionShape], others: Sequence[InclusionShape]
         return False
     for one, other in zip(shapes, others, strict=True):
         apart = np.linalg.norm(np.subtract(one.center_mm, other.center_mm))
-        if apart + abs(one.radius_mm - other.radius_mm) > _NEAR * other.radius_mm:
+        apart += np.linalg.norm(_lengths(one) - _lengths(other))
+        if type(one) is not type(other) or apart > _NEAR * other.detail_mm:
             return False
     return True
+
+
+def _lengths(shape: InclusionShape) -> Float[np.ndarray, "3 3"]:
+    """Return a tensor of the lengths along the axes, mm."""
+    axes = np.array(shape.axes)
+    return np.asarray(axes.T @ (np.array(shape.semi_axes_mm)[:, None] * axes))
 
 
 def _gel_mpa(recording: Recording) -> float:

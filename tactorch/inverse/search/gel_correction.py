@@ -4,7 +4,7 @@ The data are the displacements of markers within the contacts, through the equil
 object.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -31,11 +31,11 @@ _SHORTEST, _CELLS, _LAYERS = 0.15, 14, 4
 # which leaves a twelfth of the difference at half of the depth.
 _POWER = 1.2
 _SAME_SIZE = 0.95  # of a contact, over that of the deepest press: on curved bodies it grows
-REMAINING = 0.1  #: Error of the finer mesh, over what it changes.
+_REMAINING = 0.1  # error of the finer mesh, over what it changes
 # Smooth error of the finer mesh at a contact, over the displacements: meshes of the same cube under
 # a gel, of 50,000 to 90,000 nodes each, differ by 0.2 to 0.4 um in displacements of 97 um.
 _SMOOTH = 0.003
-_RTOL = 1e-3  # of equilibria of the finer mesh
+_RTOL = 1e-5  # of equilibria of the finer mesh
 
 
 def with_gel_errors(
@@ -44,7 +44,7 @@ def with_gel_errors(
     """Return the data corrected by offsets (mm), with errors that they have in common."""
     data, contacts = problem.data, np.array(problem.contact_of)
     uncertain = evaluation.uncertain(problem.contact_of, problem.readings)
-    owner, change = np.repeat(contacts, data.counts), REMAINING * np.concatenate(offsets)
+    owner, change = np.repeat(contacts, data.counts), _REMAINING * np.concatenate(offsets)
     remaining = np.where(owner[:, None] == np.arange(contacts.max() + 1), change[:, None], 0.0)
     patterns = np.hstack([remaining, *_smooth_errors(problem, owner, offsets)])
     common = np.hstack([uncertain, patterns * data.scale[:, None]])
@@ -62,7 +62,7 @@ def _smooth_errors(
         readings = [problem.readings[i] for i in own]
         smooth = smooth_patterns(np.concatenate([reading.markers_mm for reading in readings]))
         sizes = [
-            np.hypot(_SMOOTH * _rms(reading.displacement_mm), REMAINING * _rms(offsets[i]))
+            np.hypot(_SMOOTH * _rms(reading.displacement_mm), _REMAINING * _rms(offsets[i]))
             for i, reading in zip(own, readings, strict=True)
         ]
         deviations = np.repeat(sizes, [len(reading.markers_mm) for reading in readings])
@@ -124,10 +124,12 @@ class _FineContact(NamedTuple):
         own = [k for k, number in enumerate(presses) if number in solved]
         return _FineContact(presses, own, problem, gel_sites(curved))
 
-    def predicted(self, field: ShapeField, z: Vector) -> dict[int, Float[np.ndarray, " data"]]:
+    def predicted(
+        self, field: ShapeField, z: Vector, check: Callable[[], None]
+    ) -> dict[int, Float[np.ndarray, " data"]]:
         """Return the data (mm) by the number of the press."""
         youngs = ShapesOnSites(field, self.sites).at(z).youngs
-        found = self.problem.predicted_alone(youngs, self.solved)
+        found = self.problem.predicted_alone(youngs, self.solved, check)
         return {self.presses[k]: data for k, data in found.items()}
 
 
@@ -163,14 +165,20 @@ class GelCorrection:
         self._contacts = map_cases(fine, len(last))
 
     def offsets(
-        self, field: ShapeField, z: Vector, evaluation: GelEvaluation
+        self,
+        field: ShapeField,
+        z: Vector,
+        evaluation: GelEvaluation,
+        check: Callable[[], None],
     ) -> list[Float[np.ndarray, " data"]]:
         """Return them for the data of each press, mm.
 
         They are computed for the deepest press of each contact, and for those whose contact is
-        smaller; they grow with a power of the depth in others.
+        smaller; they grow with a power of the depth in others. `check` is called before each
+        equilibrium.
         """
-        parts = map_cases(lambda k: self._contacts[k].predicted(field, z), len(self._contacts))
+        contacts = self._contacts
+        parts = map_cases(lambda k: contacts[k].predicted(field, z, check), len(contacts))
         predicted = {i: data for part in parts for i, data in part.items()}
         changes = {
             i: (one - evaluation.predicted[i]).reshape(-1, 2) for i, one in predicted.items()

@@ -7,7 +7,7 @@ ellipsoid, or with larger errors of the forces or poses. Each is fitted with the
 whose data are shifted so that it agrees with the full model at the present one. The best of them
 are then fitted with the full model, and one that raises the evidence enough is accepted. At the
 end, models with other inclusions that are about as probable as the last one are its alternatives.
-What differs between contacts, palpations and sessions is in `SearchProblem`.
+What differs between contacts, palpations, sensors and sessions is in `SearchProblem`.
 """
 
 import logging
@@ -33,7 +33,6 @@ from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.gel import GraspSearch, SensorSearch
 from tactorch.inverse.search.model import (
     MAX_LOG_ODDS,
-    MAX_ROUGH_CHI2,
     MIN_GAIN,
     Model,
     Proposal,
@@ -58,6 +57,7 @@ _log = logging.getLogger(__name__)
 # Places of a palpation for a provisional answer, and for a search on part of many.
 _QUICK_PLACES, _FIRST_PLACES = 128, 384
 _MAX_SHAPES = 4
+_MAX_CHI2 = 3.0  # beyond which the equilibrium of gel and object does not explain the markers
 _MAX_MODELS = 10  # one after the other
 _LEAST_PROBABLE = 0.05  # alternative that is reported
 _LEAST_LOG = float(np.log(_LEAST_PROBABLE))
@@ -81,7 +81,8 @@ def find_shapes(
 
     Args:
         recording: Presses on an object.
-        settings: Noise, solver, bounds, equilibrium search and time limit are used. The latter is
+        settings: Noise, solver, bounds, equilibrium search and time limit are used; where all
+            presses are of a sensor with markers, bounds and time limit. The latter is
             that of the search, without the posterior. Elements are quadratic, and
             smaller than those of the recording at the rims of contacts, and predictions are
             corrected by finer meshes there and at inclusions, unless the provenance states that the
@@ -150,7 +151,7 @@ def _through_gel(
         if start is None:
             _log_provisional(problem)
         model, result = search(problem, limit, start, update)
-        if result.chi2 <= MAX_ROUGH_CHI2:
+        if result.chi2 <= _MAX_CHI2 or result.ended:
             predictions = problem.predictions(model, recording)
             return replace(result, through_gel=True, predictions=predictions)
         _log.warning(
