@@ -369,7 +369,10 @@ class GelProblem(InverseProblem):
         return found
 
     def predicted_alone(
-        self, youngs: Moduli, numbers: Sequence[int], check: Callable[[], None]
+        self,
+        youngs: Moduli,
+        numbers: Sequence[int],
+        check: Callable[[], None] = lambda: None,
     ) -> dict[int, _Data]:
         """Return the data (mm or N) of some presses by number, without what derivatives need.
 
