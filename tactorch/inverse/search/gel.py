@@ -113,11 +113,11 @@ class GelSearch(SearchProblem):
             youngs, starts = np.full_like(youngs, np.exp(log)), evaluation.displacements
         return evaluation
 
-    def _linearise_about(self, problem: GelProblem, evaluation: GelEvaluation) -> None:
+    def _linearise_about(self, evaluation: GelEvaluation) -> None:
         """Prepare the reduced model about a uniform body, whose equilibria are given."""
-        mesh, self._first = problem.recording.mesh, evaluation.displacements
+        mesh, self._first = self.full.recording.mesh, evaluation.displacements
         self._reduced_sites = Sites.around(mesh)
-        self.reduced = ReducedProblem(problem, evaluation)
+        self.reduced = ReducedProblem(self.full, evaluation)
         self.matched = MatchedFilter.of(self.reduced)
         self.prior = ShapePrior.of(mesh, float(evaluation.youngs.flat[0]))
 
@@ -172,7 +172,7 @@ class SensorSearch(GelSearch):
         inclusions_as_steps,
     )  # fmt: skip
     forms = FORMS
-    trial_steps = 20
+    trial_steps = 20  # a form starts far from its best fit
 
     def __init__(
         self,
@@ -184,8 +184,9 @@ class SensorSearch(GelSearch):
         super().__init__(stop, max_shapes)
         self.sites = gel_sites(recording.mesh)
         self._noise = settings.noise
-        some, touching = pressed(recording, _gel_mpa(recording))
         guess = gel_mpa = _gel_mpa(recording)
+        some, touching = pressed(recording, gel_mpa)
+        self._touching = touching
         by_forces = InverseProblem(recording, solver=settings.solver, noise=settings.noise)
         with suppress(ConvergenceError):
             guess = best_uniform(by_forces, settings.bounds)
@@ -201,7 +202,7 @@ class SensorSearch(GelSearch):
         del first  # whose factorisations take gigabytes
         self._check()
         evaluation = self.full.evaluate(youngs, starts=starts)
-        self._linearise_about(self.full, evaluation)
+        self._linearise_about(evaluation)
         self._fine_at: tuple[InclusionShape, ...] = ()
         self._correction = self._finer(())
         self._correct(ShapeField(self.prior), np.zeros(1), evaluation)
@@ -252,11 +253,10 @@ class SensorSearch(GelSearch):
 
     def predictions(self, model: Model, recording: Recording) -> Predictions | None:
         """Return the predictions of nodes of the object, which do not move before first touch."""
-        touching = pressed(recording, self._typical_mpa)[1]
         n, youngs = recording.mesh.n_points, model.evaluation.youngs
         moved = np.zeros((len(recording.presses), n, 3))
         moved[self._numbers] = [u[:n] for u in model.evaluation.on_object]
-        if left := sorted({*touching} - {*self._numbers}):
+        if left := sorted({*self._touching} - {*self._numbers}):
             problem = GelProblem(recording.select(left), self._typical_mpa)
             try:
                 moved[left] = [u[:n] for u in problem.evaluate(youngs).on_object]
@@ -283,14 +283,11 @@ class GraspSearch(GelSearch):
     ) -> None:
         super().__init__(stop, max_shapes)
         self.sites = gel_sites(recording.mesh)
-        evaluation, problem = (
-            self._best_uniform(recording, settings, _gel_mpa(recording), _CLOSE),
-            self.full,
-        )
-        common = evaluation.uncertain(problem.contact_of, problem.readings)
+        evaluation = self._best_uniform(recording, settings, _gel_mpa(recording), _CLOSE)
+        common = evaluation.uncertain(self.full.contact_of, self.full.readings)
         common = common[:, (common != 0.0).any(axis=0)]
-        self._use(problem.data.with_errors(common))
-        self._linearise_about(self.full, evaluation)
+        self._use(self.full.data.with_errors(common))
+        self._linearise_about(evaluation)
 
 
 def _are_near(shapes: Sequence[InclusionShape], others: Sequence[InclusionShape]) -> bool:
