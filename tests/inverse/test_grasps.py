@@ -151,6 +151,8 @@ def test_derivatives_of_the_force_are_those_of_differences() -> None:
     difference = (up.predicted[0] - down.predicted[0]) / (2.0 * step)
     rates = evaluation.jacobian() / evaluation.data.scale[:, None]
     assert rates @ (youngs * change).ravel() == pytest.approx(difference, rel=1e-4)
+    by_element = (rates * youngs.ravel()).reshape(len(rates), *shape).sum(axis=2)
+    np.testing.assert_allclose(evaluation.log_rates(), by_element, rtol=1e-9)
     gradient = evaluation.transpose_times(np.ones(1)) / evaluation.data.scale
     assert float((gradient * youngs * change).sum()) == pytest.approx(difference[0], rel=1e-4)
 
