@@ -22,6 +22,7 @@ from tactorch.inverse.forward.palpation import (
     group_places,
     is_palpation,
 )
+from tactorch.inverse.result.build import of_inclusions
 from tactorch.inverse.search.base import SearchProblem
 from tactorch.inverse.search.model import Model, Proposal
 from tactorch.inverse.search.palpation import PalpationSearch, at_some_places
@@ -194,11 +195,15 @@ def test_shapes_find_the_lump_and_none_where_there_is_none(with_lump: Recording)
 
 
 def test_a_base_at_an_unknown_depth_is_found() -> None:
-    found = find_shapes(recording(height=24.0))
+    higher = recording(height=24.0)
+    found = find_shapes(higher)
     (step,), (inclusion,) = found.steps, found.inclusions
     assert step.side == "z-"
     assert step.place_90_mm.low < -HEIGHT < step.place_90_mm.high < 0.0
     assert step.contrast_90.low > 1.5  # a base that is fixed stands for any large contrast
+    stated = replace(higher, provenance={"depth_mm": 24.0, "block": True})
+    (warning,) = of_inclusions(stated, found, {}, 0.0).warnings
+    assert "contradict the stated depth (format.depth_mm=24)" in warning
     center = np.array(inclusion.shape.center_mm)
     np.testing.assert_allclose(center[:2], CENTER[:2], atol=0.6)
     assert center[2] == pytest.approx(CENTER[2], abs=1.5)

@@ -1,5 +1,6 @@
 """Results of the two descriptions of a field, and which of them is shown."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -49,7 +50,7 @@ def of_inclusions(
         background_mpa=shapes.background_mpa,
         probability=shapes.probability,
         reasons=reasons,
-        warnings=_warnings_of(shapes),
+        warnings=(*_warnings_of(shapes), *_depth_warnings(recording, shapes)),
         shapes=shapes,
     )
 
@@ -86,6 +87,28 @@ def _warnings_of(result: ShapeReconstruction) -> tuple[str, ...]:
             text += f" Not tried any more: {', '.join(result.untried)}."
         texts.append(text)
     return tuple(filter(None, texts))
+
+
+def _depth_warnings(recording: Recording, result: ShapeReconstruction) -> Iterator[str]:
+    """Yield a sentence for each step of the background above a bottom of stated depth.
+
+    A search of a palpation has steps above the bottom alone, where they have enough evidence.
+    """
+    stated = recording.provenance.get("depth_mm")
+    if stated is None or not recording.provenance.get("block"):
+        return
+    for step in result.steps:
+        bottom = recording.mesh.bounds[int(step.side[1] == "+"), "xyz".index(step.side[0])]
+        ends = [float(stated - abs(place - bottom)) for place in step.place_90_mm]
+        stiff = step.contrast > 1.0
+        looks_like, other = ("at a base", "that") if stiff else ("where it is deeper", "a larger")
+        yield (
+            f"The forces contradict the stated depth (format.depth_mm={stated:g}): from a depth of "
+            f"{stated - abs(step.place_mm - bottom):.3g} mm (90 %: {min(ends):.3g} to "
+            f"{max(ends):.3g} mm) the object is {'stiffer' if stiff else 'softer'}, as "
+            f"{looks_like}. Unless it has a layer there, import the file again with {other} depth, "
+            "or without format.depth_mm."
+        )
 
 
 def _lump(recording: Recording, found: ShapeInclusion) -> Lump:

@@ -239,6 +239,32 @@ def test_layers_are_described_with_their_intervals(recording, inclusions, famili
         assert "Where z < 2.5 mm" in lead(finding)
 
 
+@pytest.mark.parametrize(
+    ("side", "contrast", "said"),
+    [
+        ("z-", 8.0, "the object is stiffer, as at a base. Unless it has a layer there, import the "
+         "file again with that depth, or without format.depth_mm"),
+        ("x+", 0.2, "the object is softer, as where it is deeper. Unless it has a layer there, "
+         "import the file again with a larger depth, or without format.depth_mm"),
+    ],
+)  # fmt: skip
+def test_a_stated_depth_that_the_forces_contradict_is_said(
+    recording, inclusions, side, contrast, said
+):
+    field = replace(FIELD, families=(), background=Background(steps=(side,)))
+    place = 2.5 if side == "z-" else 7.5
+    z = field.standard(np.array([VALUES[0], place, np.log(contrast)]))
+    posterior = ShapePosterior(field, z, np.zeros(len(z)), 1e-4 * np.eye(len(z)))
+    shapes = ShapeReconstruction(field, z, posterior, 1.0, (), 50.0)
+    stated = replace(recording, provenance={"depth_mm": 8.0, "block": True})
+    (warning,) = inclusions(stated, shapes).warnings
+    assert warning.startswith("The forces contradict the stated depth (format.depth_mm=8): from a")
+    assert "depth of 5.5 mm (90 %: 5.4" in warning
+    assert said in warning
+    for provenance in ({"depth_mm": None, "block": True}, {"depth_mm": 8.0, "block": False}, {}):
+        assert not inclusions(replace(recording, provenance=provenance), shapes).warnings
+
+
 def test_alternatives_are_described_with_their_probabilities(recording, shapes, inclusions):
     rods = replace(FIELD, families=(FAMILIES["rod"], FAMILIES["ball"]))
     own = [*VALUES[:6], 0.0, 3.0, 0.0, 2.0, 2.0, 2.0, 0.0, np.log(0.5)]
