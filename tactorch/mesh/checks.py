@@ -73,7 +73,7 @@ def check_elements(points: Points, tets: Tets) -> None:
     order = np.lexsort(ordered.T)
     repeated = np.zeros(len(tets), dtype=bool)
     repeated[order[1:]] = (ordered[order[1:]] == ordered[order[:-1]]).all(axis=1)
-    _refuse(repeated, "The mesh repeats elements: {} appear earlier too.")
+    _refuse(repeated, "The mesh repeats elements: {} appear earlier too; remove them.")
     volumes = signed_volumes(points, tets)
     pairs = combinations(points[tets].swapaxes(0, 1), 2)
     longest = np.sqrt(np.max([np.square(a - b).sum(axis=1) for a, b in pairs], axis=0))

@@ -238,8 +238,15 @@ def _read_vtu(path: Path) -> MeshFile:
     )
     for name in _REGIONS:
         values = content.cell_fields[fields[name]] if name in fields else None
-        if values is not None and values.size == len(solid):
-            return MeshFile(content.points, content.cells, np.ravel(values)[solid])
+        if values is None or values.size != len(solid):
+            continue
+        regions = np.ravel(values)[solid]
+        if (regions == np.round(regions)).all():
+            return MeshFile(content.points, content.cells, regions)
+        _log.warning(
+            "'%s': '%s' has values that are not whole numbers, and is not read as regions.",
+            path, fields[name],
+        )  # fmt: skip
     return MeshFile(content.points, content.cells)
 
 

@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Mapping
 from math import prod
 from pathlib import Path
+from unicodedata import normalize
 
 import numpy as np
 from jaxtyping import Float
@@ -23,16 +24,17 @@ SUFFIXES = (".nrrd", ".nhdr", ".mha", ".mhd")
 _HEADER_BYTES = 1 << 20
 _META_END = re.compile(rb"^[ \t]*ElementDataFile[ \t]*=[^\n]*\n?", re.MULTILINE | re.IGNORECASE)
 _NRRD_END = re.compile(rb"\r?\n[ \t]*\r?\n|\Z")
-_SIZES = {
-    "char": 1, "signedchar": 1, "uchar": 1, "unsignedchar": 1, "short": 2, "ushort": 2,
-    "unsignedshort": 2, "int": 4, "uint": 4, "unsignedint": 4, "longlong": 8, "ulonglong": 8,
-    "unsignedlonglong": 8, "long": 8, "ulong": 8, "float": 4, "double": 8,
-    **{f"{sign}int{bits}{end}": bits // 8
-       for sign in ("", "u") for bits in (8, 16, 32, 64) for end in ("", "_t")},
-}  # fmt: skip
+_TYPE = re.compile("(met)?(u|unsigned|signed)?(char|longlong|long|short|int(8|16|32|64)?)(int)?t?")
+_SIZES = {"char": 1, "short": 2, "int": 4, "long": 8, "longlong": 8}
+_FLOATS = {"float": "f4", "metfloat": "f4", "double": "f8", "metdouble": "f8"}
 _PACKED = ("gzip", "gz", "bzip2", "bz2")
-_UNITS = {"mm": "mm", "millimeter": "mm", "cm": "cm", "m": "m", "um": "um", "micron": "um"}
+_UNITS = {
+    "mm": "mm", "millimeter": "mm", "millimetre": "mm", "cm": "cm", "centimeter": "cm",
+    "centimetre": "cm", "m": "m", "meter": "m", "metre": "m", "um": "um", "\u03bcm": "um",
+    "micron": "um", "micrometer": "um", "micrometre": "um",
+}  # fmt: skip
 _OPPOSITE = {"right": 0, "anterior": 1, "inferior": 2}  # of left, posterior, superior
+_PATIENT = {*_OPPOSITE, "left", "posterior", "superior", "time"}
 _SHORT = {"r": "right", "a": "anterior", "i": "inferior"}
 
 _Fields = Mapping[str, list[str]]
@@ -61,10 +63,16 @@ def read_nrrd(source: Path) -> Content:
         values = values.transpose(*domain, *layers)
     if not {"elementspacing", "elementsize", "spacings", "spacedirections"} & set(fields):
         _log.warning("'%s' does not state the size of its voxels: 1 is taken.", source)
-    units = set(re.findall(r'"([^"]+)"', _first(fields, "spaceunits")))
-    unit = _UNITS.get(units.pop().lower(), "mm") if len(units) == 1 else "mm"
     labels, names = _segments(source, values, fields)
-    return labels, affine, unit, names
+    return labels, affine, _unit(fields), names
+
+
+def _unit(fields: _Fields) -> str:
+    """Return the unit of the three axes of space, in the words of the file where not known."""
+    stated = re.findall(r'"([^"]+)"', _first(fields, "spaceunits"))[:3]
+    plain = (normalize("NFKC", unit).strip().lower().removesuffix("s") for unit in stated)
+    units = {_UNITS.get(name, unit) for name, unit in zip(plain, stated, strict=True)}
+    return ", ".join(sorted(units)) or "mm"
 
 
 def _header(source: Path) -> tuple[_Fields, int]:
@@ -98,12 +106,8 @@ def _data(source: Path, fields: _Fields, start: int) -> np.ndarray:
     channels = int(_first(fields, "elementnumberofchannels") or 1)
     if not sizes or min(*sizes, channels) < 1:
         raise ValueError(f"its sizes are {sizes}")
-    kind = _first(fields, "type", "elementtype").lower().replace(" ", "").removeprefix("met_")
-    if kind not in _SIZES:
-        raise ValueError(f"its type '{kind[:40]}' is not known")
-    code = "f" if kind in ("float", "double") else "u" if kind[0] == "u" else "i"
     order = _first(fields, "endian", "elementbyteordermsb", "binarydatabyteordermsb").lower()
-    dtype = np.dtype(f"{'>' if order in ('big', 'true') else '<'}{code}{_SIZES[kind]}")
+    dtype = np.dtype(("><"[order not in ("big", "true")]) + _code(fields))
     count = prod(sizes) * channels
     claim = f"{' x '.join(map(str, sizes))} voxels of {dtype.itemsize} bytes"
     check_memory(source, claim, count * (3 * dtype.itemsize + 8))  # and as labels
@@ -125,6 +129,19 @@ def _data(source: Path, fields: _Fields, start: int) -> np.ndarray:
         values = np.frombuffer(_unpacked(content, encoding, size), dtype, count)
     shape = ([channels] if channels > 1 else []) + sizes
     return values.reshape(shape, order="F")
+
+
+def _code(fields: _Fields) -> str:
+    """Return the type of a value in the words of NumPy, such as "i4"."""
+    stated = _first(fields, "type", "elementtype")
+    name = re.sub("[ _]", "", stated.lower())
+    match = _TYPE.fullmatch(name)
+    if match is None and name not in _FLOATS:
+        raise ValueError(f"its type '{stated[:40]}' is not known")
+    if match is None:
+        return _FLOATS[name]
+    size = int(match[4]) // 8 if match[4] else _SIZES[match[3]]
+    return f"{'u' if match[2] and match[2][0] == 'u' else 'i'}{size}"
 
 
 def _data_path(source: Path, fields: _Fields) -> Path:
@@ -182,7 +199,7 @@ def _place(fields: _Fields, axes: int) -> tuple[Float[np.ndarray, "4 4"], list[i
         steps = [spacing[axis] for axis in domain] if len(spacing) == axes else spacing
         columns = [step * row for step, row in zip(steps, table, strict=False)]
     for axis, column in enumerate(columns[:3]):
-        affine[:3, axis] = column[:3]
+        affine[: len(column[:3]), axis] = column[:3]
     origin = _first(fields, "spaceorigin")
     at = _vector(origin) if origin else _numbers(fields, "offset", "position", "origin")
     affine[: len(at[:3]), 3] = at[:3]
@@ -198,8 +215,9 @@ def _signs(space: str) -> list[int]:
     """Return the axes of a space that are opposite to left, posterior, superior."""
     words = space.lower().split("-")
     if len(words) == 1 and re.fullmatch("[lr][ap][si]t?", words[0]):
-        words = [_SHORT.get(letter, "") for letter in words[0]]
-    return [_OPPOSITE[word] for word in words if word in _OPPOSITE]
+        words = [_SHORT.get(letter, "left") for letter in words[0]]
+    is_of_patient = _PATIENT.issuperset(words)  # unlike "3D-right-handed"
+    return [_OPPOSITE[word] for word in words if is_of_patient and word in _OPPOSITE]
 
 
 def _segments(

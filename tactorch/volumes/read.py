@@ -49,7 +49,7 @@ def read_volume(
         ConfigError: The spacing is missing, or given for a file that states it; a package to read
             the format is not installed.
         FileError: The file is missing, of no known format or damaged; the array is not of three
-            axes, or not of whole numbers; the voxels have no volume.
+            axes, or not of whole numbers; the voxels have no volume; the unit is not known.
     """
     source = require_file(path, "volume of labels")
     kind = _kind(source)
@@ -63,6 +63,9 @@ def read_volume(
     if unit is not None and unit != file_unit:
         _log.info("'%s': lengths are read in %s instead of %s.", source, unit, file_unit)
     used = unit or file_unit
+    if used not in MM_PER_UNIT:
+        known = "|".join(MM_PER_UNIT)
+        raise FileError(f"'{source}' states its lengths in {used}; give their unit (unit={known}).")
     scale = np.diag([MM_PER_UNIT[used]] * 3 + [1.0])
     return LabelVolume(labels, scale @ affine, names, str(source), used)
 

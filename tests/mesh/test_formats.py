@@ -370,6 +370,8 @@ def test_a_part_is_at_the_place_of_its_instance(tmp_path: Path) -> None:
     twice = (*instance, *sets[:1], "*Instance, name=P-2, part=P", "20., 0., 0.", "*End Instance")
     with pytest.raises(MeshError, match=r"m\.inp': the part P has 2 instances; write one"):
         read_mesh(inp(tmp_path / "m.inp", *twice, head=("*Part, name=P",)))
+    with pytest.raises(FileError, match=r"m\.inp' .* it has no \*END for the part P"):
+        read_mesh(inp(tmp_path / "m.inp", head=("*Part, name=P",)))
 
 
 @pytest.mark.parametrize(
@@ -430,6 +432,26 @@ def test_regions_of_vtk_files(tmp_path: Path, name: str) -> None:
     np.testing.assert_array_equal(read_mesh(tmp_path / "m.vtu").regions, REGIONS)
 
 
+@pytest.mark.parametrize("value", [0.5, np.nan])
+def test_a_material_that_is_no_number_of_a_region_is_named(
+    tmp_path: Path, value: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    mesh = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: TETS}, np.array(CUBE.points))
+    mesh.cell_data["material"] = np.full(len(TETS), value)
+    mesh.save(tmp_path / "m.vtu")
+    assert read_mesh(tmp_path / "m.vtu").regions is None
+    assert "m.vtu': 'material' has values that are not whole numbers" in caplog.text
+    mesh.cell_data["region_id"] = REGIONS
+    mesh.save(tmp_path / "m.vtu")
+    np.testing.assert_array_equal(read_mesh(tmp_path / "m.vtu").regions, REGIONS)
+
+
+def test_a_vtk_file_without_cells_is_refused(tmp_path: Path) -> None:
+    pyvista.UnstructuredGrid().save(tmp_path / "m.vtu")
+    with pytest.raises(FileError, match="has no points: it is empty"):
+        read_mesh(tmp_path / "m.vtu")
+
+
 def test_boxes_of_vtk_are_divided(tmp_path: Path) -> None:
     voxels = pyvista.ImageData(dimensions=(3, 4, 3)).cast_to_unstructured_grid()
     voxels.cell_data["region"] = np.arange(12)
@@ -484,6 +506,9 @@ def test_text_of_several_solids(tmp_path: Path) -> None:
     (tmp_path / "s.stl").write_text("\n".join([*first, *second][:-4]))
     with pytest.raises(FileError, match="no line 'endsolid' at its end"):
         read_surface(tmp_path / "s.stl")
+    (tmp_path / "s.stl").write_text("\ufeff" + "\r".join([*first, *second]), newline="")
+    found, faces = read_surface(tmp_path / "s.stl")
+    np.testing.assert_allclose(found[faces], vertices[triangles], atol=1e-7)
 
 
 def test_binary_that_begins_with_solid(tmp_path: Path) -> None:
@@ -491,9 +516,10 @@ def test_binary_that_begins_with_solid(tmp_path: Path) -> None:
     table = np.zeros((len(triangles), 50), np.uint8)
     table[:, 12:48] = vertices[triangles].astype("<f4").reshape(-1, 9).view(np.uint8)
     head = b"solid of a CAD program".ljust(80) + np.uint32(len(triangles)).tobytes()
-    (tmp_path / "s.stl").write_bytes(head + table.tobytes())
-    found, faces = read_surface(tmp_path / "s.stl")
-    np.testing.assert_allclose(found[faces], vertices[triangles], atol=1e-5)
+    for after in (b"", b"made by a CAD program"):
+        (tmp_path / "s.stl").write_bytes(head + table.tobytes() + after)
+        found, faces = read_surface(tmp_path / "s.stl")
+        np.testing.assert_allclose(found[faces], vertices[triangles], atol=1e-5)
     (tmp_path / "s.stl").write_bytes(b"x" * 80 + np.uint32(4e9).tobytes() + b"0" * 50)
     with pytest.raises(FileError, match="states 4000000000 triangles, and has 134 bytes"):
         read_surface(tmp_path / "s.stl")
@@ -578,6 +604,8 @@ def test_vertices_that_differ_by_rounding_are_merged(
     (tmp_path / "s.obj").write_text("\n".join(lines))
     points, faces = closed_surface(*read_surface(tmp_path / "s.obj"))
     assert len(points) == 8
+    (tmp_path / "s.obj").write_text("\n".join(lines).replace("f ", "f \\\n  "))  # lines that go on
+    np.testing.assert_array_equal(closed_surface(*read_surface(tmp_path / "s.obj"))[1], faces)
     assert enclosed_volume(points, faces) == pytest.approx(1000.0, rel=1e-5)
     assert "28 vertices are merged with others within 1.7e-05" in caplog.text
 

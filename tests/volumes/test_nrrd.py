@@ -133,6 +133,59 @@ def test_units_of_nrrd(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("stated", "unit"),
+    [("microns", "um"), ("\u00b5m", "um"), ("Meters", "m"), ("millimetres", "mm"), ("", "mm")],
+)
+def test_names_of_units(tmp_path: Path, stated: str, unit: str) -> None:
+    lines = [f'space units: "{stated}" "{stated}" "{stated}"'] if stated else []
+    assert read_volume(nrrd(tmp_path / "v.nrrd", labels(), np.eye(4), *lines)).unit == unit
+
+
+@pytest.mark.parametrize(
+    ("stated", "shown"), [('"inch" "inch" "inch"', "inch"), ('"mm" "mm" "cm"', "cm, mm")]
+)
+def test_units_that_are_not_known_are_asked_for(tmp_path: Path, stated: str, shown: str) -> None:
+    path = nrrd(tmp_path / "v.nrrd", labels(), np.eye(4), f"space units: {stated}")
+    with pytest.raises(FileError, match=rf"v.nrrd' states its lengths in {shown}; give .* \(unit="):
+        read_volume(path)
+    assert read_volume(path, unit="cm").voxel_mm == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize("space", ["3D-right-handed", "scanner-xyz", "3D-left-handed", ""])
+def test_spaces_without_directions_of_a_patient_keep_their_axes(tmp_path: Path, space: str) -> None:
+    path = nrrd(tmp_path / "v.nrrd", labels(), oblique(), space=space)
+    np.testing.assert_allclose(read_volume(path).affine, oblique(), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [
+        ("long long int", "<i8"), ("unsigned long long int", "<u8"), ("short int", "<i2"),
+        ("signed short", "<i2"), ("unsigned short int", "<u2"), ("uint16_t", "<u2"),
+        ("signed char", "i1"), ("unsigned int", "<u4"), ("float", "<f4"), ("double", "<f8"),
+    ],
+)  # fmt: skip
+def test_names_of_types(tmp_path: Path, name: str, code: str) -> None:
+    path = nrrd(tmp_path / "v.nrrd", labels().astype(code), np.eye(4))
+    path.write_bytes(path.read_bytes().replace(b"type: unsigned char", f"type: {name}".encode()))
+    np.testing.assert_array_equal(read_volume(path).labels, labels())
+
+
+def test_meta_images_of_long_long(tmp_path: Path) -> None:
+    path = meta(tmp_path / "v.mha", labels().astype("<i8"), np.eye(4))
+    path.write_bytes(path.read_bytes().replace(b"MET_UCHAR", b"MET_LONG_LONG"))
+    np.testing.assert_array_equal(read_volume(path).labels, labels())
+
+
+def test_pictures_are_no_volumes(tmp_path: Path) -> None:
+    path = tmp_path / "v.nrrd"
+    header = "NRRD0004\ntype: uchar\nsizes: 14 14\nspace directions: (1,0) (0,1)\n\n"
+    path.write_bytes(header.encode() + labels()[..., 0].tobytes())
+    with pytest.raises(FileError, match=r"shape \(14, 14\); a volume of labels has three axes"):
+        read_volume(path)
+
+
+@pytest.mark.parametrize(
     "name", ["/etc/hostname", "../outside.raw", "absent.raw", "%03d.raw 1 9 1"]
 )
 def test_data_are_in_the_folder(tmp_path: Path, name: str) -> None:

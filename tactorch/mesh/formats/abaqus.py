@@ -75,6 +75,8 @@ def read_abaqus(path: Path) -> MeshFile:
             )
         else:
             _read(keyword, parts[part_of.get(_key(given.get("INSTANCE", "")), "") or scope])
+    if scope:
+        raise ValueError(f"it has no *END for the part {scope}")
     solid = {name: part for name, part in parts.items() if part.elements}
     if len(solid) > 1:
         raise MeshError(f"it has {len(solid)} parts ({', '.join(solid)}); write one of them.")

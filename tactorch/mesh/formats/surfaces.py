@@ -1,5 +1,6 @@
 """Readers of surfaces: STL, Wavefront OBJ and PLY, each as text and, but for OBJ, binary."""
 
+import codecs
 import re
 from collections.abc import Callable
 from itertools import groupby
@@ -32,13 +33,14 @@ _PIECE = 64  # rows that are read at first, as they may differ in length
 
 def read_stl(path: Path) -> Polygons:
     """Read the triangles of all solids of a file; vertices are repeated for each."""
-    content = read_content(path, _EXPANSION)
+    content = read_content(path, _EXPANSION).removeprefix(codecs.BOM_UTF8)
     count = int.from_bytes(content[80:_HEADER], "little")
-    whole = len(content) == _HEADER + _TRIANGLE.itemsize * count
+    # Binary files may begin with "solid", and have bytes after the triangles.
+    whole = len(content) >= _HEADER + _TRIANGLE.itemsize * count and b"\0" in content
     if not whole and re.match(rb"\s*solid\b", content, re.IGNORECASE):
-        if not re.search(rb"end\s*solid[^\n]*\s*$", content[-1000:], re.IGNORECASE):
+        if not re.search(rb"end\s*solid[^\r\n]*\s*$", content[-1000:], re.IGNORECASE):
             raise ValueError("it has no line 'endsolid' at its end")
-        lines = (line.strip() for line in content.split(b"\n"))
+        lines = (line.strip() for line in content.splitlines())
         words = b" ".join(line[6:] for line in lines if line[:6].lower() == b"vertex")
         corners = parse_numbers(words).reshape(-1, 3)
     else:
@@ -60,6 +62,7 @@ def read_obj(path: Path) -> Polygons:
     vertices: list[list[float]] = []
     faces: list[list[int]] = []
     text = read_content(path, 2 * _EXPANSION).decode("utf-8", errors="replace")
+    text = re.sub(r"\\[ \t]*\r?\n", " ", text)  # a line may go on in the next one
     for number, line in enumerate(text.splitlines(), start=1):
         key, *fields = line.split("#")[0].split() or [""]
         try:

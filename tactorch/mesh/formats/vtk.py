@@ -94,12 +94,12 @@ def _cells(
     """Yield the cells of a piece, whose points have these numbers."""
     section = "Polys" if piece["Polys"] else "Cells"
     arrays = {name: values.ravel() for name, values in piece[section].items()}
-    if not arrays:
+    ends = arrays.get("offsets", np.zeros(0)).astype(np.int64)
+    if not len(ends):
         return
-    ends = arrays["offsets"].astype(np.int64)
     nodes = arrays["connectivity"].astype(np.int64)
     widths = np.diff(ends, prepend=0)
-    if len(ends) and (widths.min() < 0 or ends[-1] > len(nodes)):
+    if widths.min() < 0 or ends[-1] > len(nodes):
         raise ValueError("its cells have more nodes than it has")
     if len(nodes) and not 0 <= nodes.min() <= nodes.max() < len(numbers):
         raise ValueError("its cells have points that do not exist")
@@ -108,7 +108,7 @@ def _cells(
     if len(kinds) != len(ends):
         raise ValueError("its cells and their types differ in number")
     change = (np.diff(kinds) != 0) | (np.diff(widths) != 0)
-    starts = np.flatnonzero(np.concatenate([[len(ends) > 0], change]))
+    starts = np.flatnonzero(np.concatenate([[True], change]))
     for start, end in zip(starts, [*starts[1:], len(ends)], strict=True):
         width = int(widths[start])
         rows = nodes[ends[start] - width : ends[end - 1]].reshape(end - start, width)
