@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from tactorch.cli import console
 from tactorch.cli.compose import SEARCH_PACKAGE, build_options, store_config
-from tactorch.cli.existing import CONTINUING, check_file, check_run_folder
+from tactorch.cli.existing import CONTINUING, Replaced, check_file, check_run_folder
 from tactorch.cli.overrides import (
     check_overrides,
     check_required,
@@ -21,7 +21,7 @@ from tactorch.cli.overrides import (
     named,
     swept,
 )
-from tactorch.cli.resume import has_state, saved_settings, with_resume
+from tactorch.cli.resume import has_state, with_resume
 from tactorch.cli.schema import command_module, load_schema
 from tactorch.cli.starting import STARTED
 from tactorch.cli.sweep import Job, register_names, summarize
@@ -82,7 +82,7 @@ class App:
         """
         import hydra
 
-        saved = saved_settings(self._arguments)
+        replaced = Replaced(self.command, self._arguments)
         command_line, debug = sys.argv, os.environ.get(_DEBUG)
         # A log file that cannot be written is no reason for a traceback among the messages.
         logging.raiseExceptions = debug == "1"
@@ -112,8 +112,7 @@ class App:
             if debug is not None:
                 os.environ[_DEBUG] = debug
         if self._failures:
-            for file, content in saved.items():
-                file.write_bytes(content)
+            replaced.restore()
             sys.exit(console.WRONG)
 
     def job(self, cfg: "DictConfig") -> Any:
@@ -176,7 +175,8 @@ class App:
                 "out='x-${seed}.h5', or leave it out: each job has its own folder."
             )
         self._outputs.add(path)
-        check_file(Path(out), overwrite)
+        if self.command not in CONTINUING:  # whose output is a folder
+            check_file(Path(out), overwrite)
 
 
 class _Flags(argparse.ArgumentParser):

@@ -2,9 +2,10 @@
 
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from tactorch.cli import COMMANDS
 from tactorch.cli.compose import compose_options
 from tactorch.cli.overrides import given
 from tactorch.cli.resume import command_of, has_state
@@ -23,6 +24,8 @@ def check_file(path: Path, overwrite: bool) -> None:
         ConfigError: The file exists, and it may not be replaced.
         FileError: Its folder cannot be made or written.
     """
+    if path.is_dir():
+        raise ConfigError(f"out={path} is a folder; give the name of a file, such as {path}/NAME.")
     if path.is_file() and not overwrite:
         raise ConfigError(
             f"out={path} exists; give overwrite=true to replace it, or out=... with another name."
@@ -42,8 +45,6 @@ def check_file(path: Path, overwrite: bool) -> None:
 def check_run_folder(command: str, words: Sequence[str]) -> None:
     """Refuse a folder, given as run_dir, with the results of an earlier run.
 
-    With overwrite=true its log is removed; the command itself removes the results.
-
     Raises:
         ConfigError: The folder holds a run of another command, or results that may not be replaced.
     """
@@ -56,7 +57,7 @@ def check_run_folder(command: str, words: Sequence[str]) -> None:
     resumed = typed.get("resume", "")
     if resumed and os.path.realpath(folder) == os.path.realpath(resumed):
         return
-    results, earlier = _results(folder), command_of(folder)
+    results, earlier = results_in(folder), command_of(folder) or _command_of_log(folder)
     if not results or earlier is None:
         return
     if earlier != app_name(command):
@@ -65,19 +66,61 @@ def check_run_folder(command: str, words: Sequence[str]) -> None:
         )
     if command in CONTINUING:
         return
-    if typed.get("overwrite", "").lower() not in ("true", "yes", "on", "1"):
+    if not _is_true(typed, "overwrite"):
         more = ", ..." if len(results) > _SHOWN else ""
         listed = ", ".join(results[:_SHOWN]) + more
-        resume = f"resume={folder} to continue it, " if has_state(command, folder) else ""
+        continues = command_of(folder) is not None and has_state(command, folder)
+        resume = f"resume={folder} to continue it, " if continues else ""
         raise ConfigError(
             f"run_dir={folder} holds the results of an earlier run ({listed}); give {resume}"
             "another run_dir, or overwrite=true to replace them."
         )
-    for log in (*folder.glob(f"{earlier}.log"), *folder.glob(f"*/{earlier}.log")):
-        log.unlink()
 
 
-def _results(folder: Path) -> list[str]:
+def _command_of_log(folder: Path) -> str | None:
+    """Return the command whose log is in a folder without settings, which copies may lack."""
+    names = {app_name(command) for command in COMMANDS}
+    return next((path.stem for path in folder.glob("*.log") if path.stem in names), None)
+
+
+class Replaced:
+    """The run that a command continues or replaces; one that is refused is put back.
+
+    Hydra replaces its settings and adds to its logs before the command checks anything else.
+    """
+
+    def __init__(self, command: str, words: Sequence[str]) -> None:
+        typed = given(words)
+        self._folder = Path(typed.get("run_dir", ""))
+        resumed = typed.get("resume", "null") not in ("", "null")
+        replaced = not resumed and command not in CONTINUING and _is_true(typed, "overwrite")
+        paths = [*self._folder.glob(".hydra/*")] if "run_dir" in typed else []
+        if replaced and paths:
+            logs = f"{app_name(command)}.log"
+            paths += [*self._folder.glob(logs), *self._folder.glob(f"*/{logs}")]
+        self._results = self._stamps() if replaced else None
+        is_kept = resumed or replaced
+        self._saved = {p: p.read_bytes() for p in paths if is_kept and p.is_file()}
+        for path in self._saved:
+            if path.suffix == ".log":
+                path.unlink()
+
+    def restore(self) -> None:
+        """Put the settings and logs back, unless the results were replaced."""
+        if self._results is None or self._results == self._stamps():
+            for path, content in self._saved.items():
+                path.write_bytes(content)
+
+    def _stamps(self) -> dict[str, int]:
+        """Return the times at which the results were written."""
+        return {name: (self._folder / name).stat().st_mtime_ns for name in results_in(self._folder)}
+
+
+def _is_true(typed: Mapping[str, str], name: str) -> bool:
+    return typed.get(name, "").lower() in ("true", "yes", "on", "1")
+
+
+def results_in(folder: Path) -> list[str]:
     """Return the names in a folder that are neither hidden nor logs."""
     if not folder.is_dir():
         return []

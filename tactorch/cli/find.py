@@ -53,6 +53,8 @@ def run(options: FindOptions) -> Reconstruction:
         source = str(options.recording or found.summary["recording"])
         remove_derived(options.run)
         write_outputs(options.run, found.recording, result, source=source, plots=options.plots)
+    else:
+        log.info("The result has inclusions already: %s", describe(result))
     if network is not None:
         _recognise(network, result, options.run)
     return result

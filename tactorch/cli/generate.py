@@ -14,10 +14,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from tactorch.cli.console import log, progress
+from tactorch.cli.existing import results_in
 from tactorch.cli.settings import CommandOptions, material_spec, select
 from tactorch.config import option
 from tactorch.errors import ConfigError
 from tactorch.generation import Recipe, SampleSet, generate
+from tactorch.generation.layout import RECIPE
 from tactorch.generation.recipe import LINEAR
 from tactorch.inverse import Settings
 from tactorch.progress import progress_line
@@ -57,6 +59,8 @@ def run(options: GenerateOptions) -> SampleSet:
     """Make a dataset, or its missing samples."""
     recipe = make_recipe(options)
     out = options.out or Path("data") / recipe.name
+    if not (out / RECIPE).is_file() and results_in(out):
+        raise ConfigError(f"out={out} holds other files than those of a dataset; give another out.")
     log.info("%s: %d samples in %s", recipe.name, recipe.count, out)
     with progress(recipe.name, "samples") as update:
         samples = generate(

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -142,14 +143,16 @@ def _parse(word: str, schema: Schema) -> "Override":
     if override is None:
         raise ConfigError(
             f"'{word}' cannot be read ({problem}); put a value with spaces, =, brackets or the "
-            f"like in its own quotes: \"{key}='{value}'\"."
+            f"like in its own quotes: {_quoted(key, value)}."
         )
     return override
 
 
 def _quoted(key: str, value: str) -> str:
     """Return a setting as it is typed in a shell."""
-    return f"\"{key}='{value}'\"" if set(value) & set(" =,()[]{}'") else f"{key}={value}"
+    if "'" in value:
+        return shlex.quote(f'{key}="{value}"')
+    return f"\"{key}='{value}'\"" if set(value) & set(" =,()[]{}") else f"{key}={value}"
 
 
 def _values(override: "Override") -> list[Any]:

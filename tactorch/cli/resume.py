@@ -7,13 +7,12 @@ refused.
 
 import os
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from tactorch.budget import check_references
 from tactorch.cli.compose import build_options
-from tactorch.cli.overrides import check_overrides, given, key_of
+from tactorch.cli.overrides import check_overrides, key_of
 from tactorch.cli.presets import PROGRAM
 from tactorch.cli.schema import Schema, app_name
 from tactorch.config.values import leaves
@@ -94,18 +93,6 @@ def command_of(folder: Path) -> str | None:
 def has_state(command: str, run: Path) -> bool:
     """Return whether a run of a command got as far as having a state to go on from."""
     return any(any(run.glob(pattern)) for pattern in _STATES.get(command, ()))
-
-
-def saved_settings(words: Sequence[str]) -> dict[Path, bytes]:
-    """Return the settings files of the run that is resumed; Hydra replaces them.
-
-    A run that is refused, as its settings cannot be used, gets them back.
-    """
-    typed = given(words)
-    folder = Path(typed.get("run_dir", ""), ".hydra")
-    if typed.get("resume", "null") in ("", "null") or not folder.is_dir():
-        return {}
-    return {path: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
 def saved_options(command: str, run: Path) -> Any:

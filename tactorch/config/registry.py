@@ -186,6 +186,9 @@ def unknown_choice(section: str, name: str, names: Iterable[str]) -> str:
     return f"{section}={name} is unknown; choose one of {', '.join(names)}.{hint}"
 
 
+_SAME_NAME = 0.85  # similarity of a full name whose group is misspelt
+
+
 def unknown_setting(name: str, known: Iterable[str], prefix: str = "", chosen: str = "") -> str:
     """Return the message for a setting that does not exist, with the name that is likely meant.
 
@@ -194,6 +197,8 @@ def unknown_setting(name: str, known: Iterable[str], prefix: str = "", chosen: s
     """
     known, (group, dot, leaf) = tuple(known), name.rpartition(".")
     inside = [other for other in known if dot and other.startswith(f"{group}.")]
+    if dot and not inside and (match := difflib.get_close_matches(name, known, 1, _SAME_NAME)):
+        return f"unknown setting '{name}'. Did you mean '{match[0]}'?"
     # The last part of a name counts: in a group all names begin alike.
     leaf_names = {other.rpartition(".")[2]: other for other in reversed(inside or known)}
     match = difflib.get_close_matches(leaf, leaf_names, n=1, cutoff=0.6 if inside else 0.75)

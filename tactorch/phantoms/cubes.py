@@ -72,7 +72,7 @@ class _CubeWithInclusion(UniformCube, ABC):
 class CubeSphere(_CubeWithInclusion):
     """Cube with a ball below the centre of the top."""
 
-    depth: float = option(0.5, "Depth of the ball's centre below the top, in sides")
+    depth: float = option(0.5, "Depth of the ball's centre below the top, in sides", gt=0, lt=1)
     radius: float = option(0.2, "Radius of the ball, in sides", gt=0)
 
     def _shape(self) -> Shape:
@@ -83,14 +83,14 @@ class CubeSphere(_CubeWithInclusion):
 class CubeShallowSphere(CubeSphere):
     """Model 1 of the study of design factors (Fig. 6a): ball at depth 0.3."""
 
-    depth: float = option(0.3, "Depth of the ball's centre below the top, in sides")
+    depth: float = option(0.3, "Depth of the ball's centre below the top, in sides", gt=0, lt=1)
 
 
 @dataclass(frozen=True)
 class CubeDeepSphere(CubeSphere):
     """Model 2 of the study of design factors (Fig. 6b): ball at depth 0.6."""
 
-    depth: float = option(0.6, "Depth of the ball's centre below the top, in sides")
+    depth: float = option(0.6, "Depth of the ball's centre below the top, in sides", gt=0, lt=1)
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ class DepthCube(_CubeWithInclusion):
 
     youngs_mpa: float = option(4.0, "Young's modulus of the cube", unit="MPa", gt=0)
     inclusion_mpa: float = option(30.0, "Young's modulus of the ball", unit="MPa", gt=0)
-    depth: float = option(0.4, "Depth of the ball's centre below the top, in sides")
+    depth: float = option(0.4, "Depth of the ball's centre below the top, in sides", gt=0, lt=1)
     offset: tuple[float, float] = option(
         (0.0, 0.0), "Offset of the ball's centre along x and y, in sides"
     )

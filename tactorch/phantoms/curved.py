@@ -40,7 +40,7 @@ class _UprightCylinder(_SoftBody):
 class CylinderSphere(_UprightCylinder):
     """Upright cylinder with a ball."""
 
-    depth: float = option(0.4, "Depth of the ball's centre below the top, in heights")
+    depth: float = option(0.4, "Depth of the ball's centre below the top, in heights", gt=0, lt=1)
     radius: float = option(0.2, "Radius of the ball, in diameters", gt=0)
 
     def build(self) -> Phantom:

@@ -1,6 +1,7 @@
 """Files and runs that exist are replaced with overwrite=true only."""
 
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -81,6 +82,34 @@ def test_a_folder_named_by_settings_is_not_replaced(tactorch: Any) -> None:
     assert "run_dir=runs/3 holds the results" in refused.err
 
 
+def test_a_copy_without_hidden_files_is_not_replaced(
+    tactorch: Any, run: Path, recording: Path
+) -> None:
+    shutil.rmtree(run / ".hydra")
+    before = contents(run)
+    refused = tactorch("invert", f"recording={recording}", f"run_dir={run}", *QUICK)
+    assert refused.status == 2
+    assert f"run_dir={run} holds the results of an earlier run" in refused.err
+    assert "resume" not in refused.err
+    assert contents(run) == before
+
+
+def test_a_refused_command_leaves_the_run_that_it_would_replace(tactorch: Any, run: Path) -> None:
+    before = contents(run)
+    refused = tactorch("invert", "recording=gone.h5", f"run_dir={run}", *QUICK, "overwrite=true")
+    assert refused.status == 2
+    assert "'gone.h5' is not a file" in refused.err
+    assert contents(run) == before
+
+
+def test_a_dataset_is_not_written_among_other_files(tactorch: Any, run: Path) -> None:
+    before = contents(run)
+    refused = tactorch("generate", f"out={run}", "dataset.count=1")
+    assert refused.status == 2
+    assert f"out={run} holds other files than those of a dataset" in refused.err
+    assert contents(run) == before
+
+
 @pytest.mark.slow
 def test_a_sweep_is_not_replaced(tactorch: Any) -> None:
     words = ("simulate", "-m", *CUBE, "seed=1,2", "run_dir=sweep")
@@ -132,6 +161,8 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(
         assert refused.status == 2
         assert "nothing can be written into" in refused.err
         assert "part" not in refused.err
+    for words in (("simulate", f"out={run}"), ("report", run, f"out={run}")):
+        assert f"out={run} is a folder; give the name of a file" in tactorch(*words).err
 
 
 def test_paths_with_an_equals_sign_are_paths(tactorch: Any, run: Path, recording: Path) -> None:
@@ -144,6 +175,10 @@ def test_paths_with_an_equals_sign_are_paths(tactorch: Any, run: Path, recording
     remedy = "recording='c=d.h5'"
     assert f'"{remedy}"' in refused.err
     assert tactorch("invert", remedy, *QUICK).status == 0
+    shutil.copy(recording, "o'neil (1).h5")
+    refused = tactorch("invert", "recording=o'neil (1).h5")
+    (remedy,) = shlex.split(refused.err.rpartition("own quotes: ")[2].strip().removesuffix("."))
+    assert tactorch("invert", remedy, *QUICK, "run_dir=other").status == 0
 
 
 def test_long_settings_and_settings_that_name_a_file_are_settings(tactorch: Any) -> None:

@@ -100,6 +100,8 @@ def test_optimizer_of_the_paper_brings_its_own_choices(tactorch: Any) -> None:
         (("sensor", "track"), ("'sensor' is missing", "tactorch sensor track --help")),
         (("simulate", "phantm=x"), ("unknown setting 'phantm'", "'phantom'?", "--help")),
         (("simulate", "phantom.raduis=1"), ("'phantom.raduis'", "Did you mean 'phantom.radius'?")),
+        (("simulate", "phantm.radius=1"), ("Did you mean 'phantom.radius'?",)),
+        (("simulate", "phantom.depth=5"), ("phantom.depth=5: give a number above 0, below 1",)),
         (("simulate", "steps=3"), ("'steps'", "Did you mean 'press.steps'?")),
         (("simulate", "+sed=3"), ("unknown setting 'sed'", "'seed'?")),
         (("simulate", "phantom=cube_box", "phantom.depth=1"), ("phantom=cube_box: side_mm,",)),
