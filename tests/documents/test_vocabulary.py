@@ -88,10 +88,12 @@ def allowed() -> dict[tuple[str, str], str]:
 def check(path: str, text: str) -> list[Finding]:
     """Return the words that are not used in a file; of Python, in names, comments and strings."""
     sections = _python(text) if path.endswith(".py") else [(1, text)]
+    whole = "\n\0".join(section for _, section in sections)  # most files have none of the words
+    found = [(word, pattern) for word, pattern in patterns() if pattern.search(whole)]
     return [
         Finding(path, line + section.count("\n", 0, match.start()), word, words()[word])
         for line, section in sections
-        for word, pattern in patterns()
+        for word, pattern in found
         for match in pattern.finditer(section)
     ]
 
@@ -108,10 +110,10 @@ def _python(text: str) -> list[tuple[int, str]]:
             sections[-1] = (sections[-1][0], f"{sections[-1][1]}\n{comment}")
         else:
             sections.append((line, comment))
-    tree = ast.parse(text)
-    nested = {id(part) for n in ast.walk(tree) if isinstance(n, ast.JoinedStr) for part in n.values}
-    for node in ast.walk(tree):
+    nested: set[int] = set()  # parts of f-strings, which come after these
+    for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.JoinedStr):
+            nested.update(map(id, node.values))
             values = [p.value if isinstance(p, ast.Constant) else "0" for p in node.values]
             sections.append((node.lineno, "".join(map(str, values))))
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):

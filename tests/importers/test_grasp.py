@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactorch.errors import ConfigError, FileError
-from tactorch.importers import import_grasp
+from tactorch.importers import grasp, import_grasp
 from tactorch.importers.grasp import rigid_depth
 from tactorch.importers.holds import GraspColumns, GraspRows, find_hold
 from tactorch.mesh import Box, Sphere
@@ -32,6 +32,12 @@ def write(path: Path, lag_s: float = 0.2, force_n: float = 4.0, hold_s: float = 
     return path
 
 
+@pytest.fixture
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take few elements for the gels."""
+    monkeypatch.setattr(grasp, "_CELLS", 6)
+
+
 @pytest.mark.parametrize("lag_s", [0.0, 0.2, 0.5])
 def test_hold_pairs_force_and_width_although_widths_are_late(tmp_path: Path, lag_s: float) -> None:
     hold = GraspColumns().hold(write(tmp_path / "a.csv", lag_s))
@@ -49,7 +55,9 @@ def test_slow_closing_is_no_hold(tmp_path: Path) -> None:
     assert (hold.force_n, hold.width_mm) == pytest.approx((4.0, 3.5), abs=0.05)
 
 
-def test_compliance_is_of_the_force_beyond_that_of_the_references(tmp_path: Path) -> None:
+def test_compliance_is_of_the_force_beyond_that_of_the_references(
+    coarse: None, tmp_path: Path
+) -> None:
     """Two references whose widths differ by as much as the fingers bend have one offset."""
     folder = tmp_path / "references"
     folder.mkdir()
@@ -125,6 +133,7 @@ def test_settings_that_do_not_fit_are_refused(
         import_grasp(write(tmp_path / "a.csv"), **{**CUBE, **changes})  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_rigid_ball_is_as_deep_in_a_thick_gel_as_hertz_states() -> None:
     layer = GelLayer(20.0, 0.2, 0.3, size_mm=(20.0, 20.0))
     depth, by_modulus = rigid_depth(layer, Sphere((0.0, 0.0, 0.0), 8.0), 1.5)
@@ -134,7 +143,7 @@ def test_rigid_ball_is_as_deep_in_a_thick_gel_as_hertz_states() -> None:
     assert by_modulus == pytest.approx(-2.0 / 3.0 * depth, rel=0.1)
 
 
-def test_reference_gives_the_distance_of_the_faces(tmp_path: Path) -> None:
+def test_reference_gives_the_distance_of_the_faces(coarse: None, tmp_path: Path) -> None:
     """A rigid block of 6 mm that covers the gels compresses both alike."""
     layer = GelLayer(2.0, 0.2, 0.3, size_mm=(5.0, 5.0))
     depth, by_modulus = rigid_depth(layer, Box((0.0, 0.0, 0.0), 6.0), 1.0)

@@ -96,7 +96,7 @@ def grasp(mesh: TetMesh, force_n: float, depth: float = 0.5, **changes: object) 
 
 
 def recording(force_n: float = 1.0) -> Recording:
-    mesh = box_mesh(SIZE, 4, center_mm=(0.0, 0.0, 0.0))
+    mesh = box_mesh(SIZE, 3, center_mm=(0.0, 0.0, 0.0))
     return Recording(mesh, (grasp(mesh, force_n),), MATERIAL)
 
 
@@ -189,7 +189,7 @@ def test_presses_solved_alone_have_the_predictions_of_all() -> None:
 
 def test_modulus_of_a_cube_is_found_from_the_force_of_a_grasp() -> None:
     """The force is that of a finer mesh."""
-    both = coupled(LAYER, 7, 0.5)
+    both = coupled(LAYER, 5, 0.5)
     result = invert(recording(float(force(both, 0.5).mean())), Settings())
     assert not result.lumps
     assert result.background_mpa == pytest.approx(YOUNGS, rel=0.05)

@@ -397,6 +397,7 @@ def test_a_ball_is_found_with_its_modulus(found):
     assert again.plain() == result.plain()
 
 
+@pytest.mark.slow
 def test_a_sensor_that_is_not_fitted_leaves_the_whole_posterior(recording, found, caplog):
     """Not all presses have markers of a gel."""
     layer, still = GelLayer(4.0, 0.12, 0.45, size_mm=(16.0, 16.0)), np.zeros((9, 2))

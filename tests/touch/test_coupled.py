@@ -147,6 +147,7 @@ def test_uniform_pressure_passes_the_contact(cells: int, matches: bool) -> None:
     np.testing.assert_allclose(body, expected, atol=largest * motion)
 
 
+@pytest.mark.slow
 def test_markers_move_as_in_one_mesh_of_both() -> None:
     """A finer mesh that shares nodes in the contact, with a ball in the cube."""
     layer = replace(LAYER, size_mm=(14.0, 14.0))
