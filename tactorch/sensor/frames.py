@@ -406,7 +406,12 @@ def _video_frames(capture: Any, path: Path) -> Iterator[Frame]:
     try:
         while (captured := capture.read())[0]:
             rgb = cv2.cvtColor(captured[1], cv2.COLOR_BGR2RGB)
-            time_s = count / rate if known_rate else None
+            stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+            if known_rate and time_s is None:
+                time_s, start_s = 0.0, stamp_s
+            elif time_s is not None:  # a time stamp that does not rise is none
+                rises = time_s < stamp_s - start_s < np.inf
+                time_s = stamp_s - start_s if rises else time_s + 1 / rate
             yield Frame(count, f"{path.name} frame {count}", rgb, time_s)
             count += 1
     except cv2.error as error:
@@ -416,8 +421,13 @@ def _video_frames(capture: Any, path: Path) -> Iterator[Frame]:
         capture.release()
     if not count:
         raise FileError(f"video '{path}' has no frame that can be decoded.")
-    fault = f"the video is cut short: {count} of {expected} frames can be decoded"
-    for index in range(count, min(expected, count + _MAX_MISSING_FRAMES)):
+    # Some headers have the duration only, from which OpenCV computes the number of frames.
+    missing = expected - max(count, 0 if time_s is None else round(time_s * rate) + 1)
+    fault = (
+        f"the video is cut short or damaged: {count} of {count + missing} frames can be decoded;"
+        " after a damaged frame, times are too early"
+    )
+    for index in range(count, count + min(missing, _MAX_MISSING_FRAMES)):
         yield _faulty_frame(index, f"{path.name} frame {index}", fault)
 
 

@@ -23,7 +23,7 @@ from tactorch.sensor.calibration import (
     save_calibration,
 )
 from tactorch.sensor.description import GelLayer, SensorDescription, load_sensor
-from tactorch.sensor.frames import read_frames, read_image
+from tactorch.sensor.frames import open_source, read_frames, read_image
 from tactorch.sensor.poses import read_poses
 from tactorch.sensor.scale import read_corners
 
@@ -161,6 +161,52 @@ def test_number_beyond_the_floats(tmp_path: Path) -> None:
     path.write_text(YAML.replace("thickness_mm: 3.0", "thickness_mm: " + "9" * 400))
     with pytest.raises(TactorchError, match=r"sensor\.yaml"):
         load_sensor(path)
+
+
+class VariableVideo:
+    """A capture whose frames have time stamps, with the rate and number that a header declares."""
+
+    def __init__(self, stamps_ms: list[float], rate: float, declared: int) -> None:
+        self.stamps_ms, self.next = stamps_ms, 0
+        self.header = {cv2.CAP_PROP_FPS: rate, cv2.CAP_PROP_FRAME_COUNT: float(declared)}
+
+    def isOpened(self) -> bool:
+        return True
+
+    def get(self, key: int) -> float:
+        stamp = self.stamps_ms[max(self.next - 1, 0)] if self.stamps_ms else 0.0
+        return stamp if key == cv2.CAP_PROP_POS_MSEC else self.header.get(key, 48.0)
+
+    def read(self) -> tuple[bool, np.ndarray]:
+        self.next += 1
+        return self.next <= len(self.stamps_ms), IMAGE
+
+    def release(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("stamps_ms", "declared", "times_s", "missing"),
+    [
+        pytest.param([0, 33, 67, 167, 267], 9, [0, 0.033, 0.067, 0.167, 0.267], 0, id="variable"),
+        pytest.param([0, 33, 67, 167, 267], 12, [0, 0.033, 0.067, 0.167, 0.267], 3, id="cut"),
+        pytest.param([500, 540, 580], 3, [0, 0.04, 0.08], 0, id="from a later start"),
+        pytest.param([0, 0, 0], 3, [0, 1 / 30, 2 / 30], 0, id="none"),
+        pytest.param([0, 50, 20, 120], 4, [0, 0.05, 0.05 + 1 / 30, 0.12], 0, id="one back"),
+        pytest.param([0, float("nan"), 70], 3, [0, 1 / 30, 0.07], 0, id="one unknown"),
+    ],
+)
+def test_times_are_those_of_the_video(
+    stamps_ms: list[float], declared: int, times_s: list[float], missing: int, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    path = tmp_path / "press.mkv"
+    path.write_bytes(b"RIFF")
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: VariableVideo(stamps_ms, 30.0, declared))
+    frames = list(open_source(path))
+    seen = [frame for frame in frames if frame.image is not None]
+    np.testing.assert_allclose([frame.time_s for frame in seen], times_s, atol=1e-9)
+    assert len(frames) - len(seen) == missing
 
 
 def huge_png(side: int) -> bytes:
