@@ -1,5 +1,6 @@
 """Damaged and hostile files of the sensor: a `TactorchError` that names the file, or a result."""
 
+import io
 import json
 import struct
 import subprocess
@@ -13,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image as PillowImage
 
 from tactorch.errors import FileError, TactorchError
 from tactorch.sensor.calibration import (
@@ -161,6 +163,64 @@ def test_number_beyond_the_floats(tmp_path: Path) -> None:
     path.write_text(YAML.replace("thickness_mm: 3.0", "thickness_mm: " + "9" * 400))
     with pytest.raises(TactorchError, match=r"sensor\.yaml"):
         load_sensor(path)
+
+
+FLAT = np.full((48, 64, 3), 200)
+
+
+def tagged(orientation: int) -> bytes:
+    """A JPEG file whose tag states another orientation."""
+    content, tags = io.BytesIO(), PillowImage.Exif()
+    tags[0x0112] = orientation
+    PillowImage.fromarray(IMAGE).save(content, "JPEG", exif=tags, quality=97)
+    return content.getvalue()
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6])
+def test_orientation_tags_are_ignored(orientation: int, tmp_path: Path) -> None:
+    (tmp_path / "frame.jpg").write_bytes(tagged(orientation))
+    assert np.abs(read_image(tmp_path / "frame.jpg").astype(int) - IMAGE).mean() < 3.0
+
+
+@pytest.mark.parametrize(
+    ("suffix", "stored", "says"),
+    [
+        (".png", FLAT.astype(np.uint16) * 16, "16 bits per channel.*above 3200.*of 12 bits; scale"),
+        (".png", FLAT.astype(np.uint16) * 4, "above 800: values of 10 bits"),
+        (".tif", (FLAT / 255).astype(np.float32), "TIFF of floats.*save it as PNG"),
+        (
+            ".tif",
+            (FLAT[..., 0] / 255).astype(np.float32),
+            "TIFF of floats.*save it as PNG",
+        ),
+        (".webp", FLAT.astype(np.uint8), "it is a WebP, or damaged; save it as PNG with 8 bits"),
+        (".gif", FLAT.astype(np.uint8), "it is a GIF, or damaged; save it as PNG with 8 bits"),
+    ],
+)
+def test_images_of_other_values_or_formats(
+    suffix: str, stored: np.ndarray, says: str, tmp_path: Path
+) -> None:
+    path = tmp_path / ("frame.tif" if suffix == ".tif" else "frame.png")
+    path.write_bytes(cv2.imencode(suffix, stored)[1].tobytes())
+    with pytest.raises(FileError, match=says) as caught:
+        read_image(path)
+    assert path.name in str(caught.value)
+
+
+def test_sixteen_bits_are_scaled(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "frame.png"), IMAGE[..., ::-1].astype(np.uint16) * 257)
+    np.testing.assert_array_equal(read_image(tmp_path / "frame.png"), IMAGE)
+
+
+def test_libraries_print_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    flipped = bytearray(encoded(".png"))
+    flipped[len(flipped) // 2] ^= 0xFF
+    damaged = {"half.png": flipped[:2000], "flipped.png": flipped, "text.mp4": b"no video" * 500}
+    for name, content in damaged.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(FileError, match=name):
+            list(open_source(tmp_path / name))
+    assert "".join(capfd.readouterr()) == ""
 
 
 class VariableVideo:
