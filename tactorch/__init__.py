@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, Any
 # variables when they are loaded.
 os.environ.setdefault("KMP_BLOCKTIME", "0")
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+# What OpenCV and FFmpeg print about a damaged file, tactorch reports with its name and the remedy.
+os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 if TYPE_CHECKING:
     from tactorch.fem import SoftBody, Supports, make_material

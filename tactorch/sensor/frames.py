@@ -22,6 +22,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from PIL import Image as PillowImage
+from PIL import UnidentifiedImageError
 
 from tactorch.budget import MAX_PIXELS, check_memory, read_content
 from tactorch.config import Options, option
@@ -38,6 +39,12 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv", ".webm", ".mpg", ".mpeg")
 
 _FORMATS = ("PNG", "JPEG", "BMP", "TIFF")  # as Pillow names them
+# The orientation is that of the camera, which does not turn relative to the gel.
+_DECODING = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+_TWELVE_BITS = 4095  # of 16, which are fewer than 16 of 255 gray values: no image of a lit gel
+_SAVE_AS_PNG = "save it as PNG with 8 bits per channel"
+# First bytes of files that are not read, whatever their names.
+_REFUSED = {b"GIF8": "GIF", b"RIFF": "WebP", b"II*\0": "TIFF of floats", b"MM\0*": "TIFF of floats"}
 _MAX_SCANS = 100  # of a progressive JPEG, each of which takes the time of a picture
 _MAX_FRAME_RATE_HZ = 100_000.0
 _MAX_MISSING_FRAMES = 10_000  # reported at the end of a truncated video
@@ -52,7 +59,17 @@ _SATURATED = "saturated"
 _SATURATED_VALUE = 254
 # Width of the edge of a contact, and of the rows compared beside it, in fractions of the height.
 _EDGE, _BESIDE = 40, 20
-_MIN_JUMP = 4.0  # between rows, gray values; smaller ones are noise
+_MIN_JUMP = 4.0  # between rows or images, gray values; smaller ones are noise
+# Share of the width at which a contact may be torn, and excess over rows beside, over the limit.
+_PART, _BESIDE_LIMIT = 0.1, 0.6
+_THIN = 3  # of so many rows and columns one is compared
+_MATCH = 0.3  # of the difference from the reference, which an alteration leaves if it was made
+_ALTERATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "red and blue are swapped": lambda image: image[..., ::-1],
+    "turned by 180 degrees": lambda image: image[::-1, ::-1],
+    "mirrored left to right": lambda image: image[:, ::-1],
+    "mirrored top to bottom": lambda image: image[::-1],
+}
 
 
 @dataclass(frozen=True)
@@ -191,29 +208,61 @@ def detect_fault(
         return f"{_SATURATED}: {saturated - usual:.0%} of the pixels more than in the reference"
     if previous is not None and np.array_equal(image, previous):
         return "frozen: the same as the frame before it"
-    change = image.astype(np.float32).mean(axis=2) - reference.astype(np.float32).mean(axis=2)
-    row = _torn_row(change, limits.torn)
+    if changed := _altered(image, reference):
+        return changed
+    row = _torn_row(image.astype(np.float32) - reference, limits.torn)
     return "" if row is None else f"torn at row {row}"
 
 
-def _torn_row(change: Float[np.ndarray, "h w"], limit: float) -> int | None:
+def _altered(image: Image, reference: Image) -> str:
+    """Return how a program or camera altered a frame unlike the reference, or ""."""
+    gray, reference_gray = ((i == i[..., :1]).all() for i in (image, reference))
+    if gray and not reference_gray:
+        return "no colors: all channels are equal, unlike in the reference; record in color"
+    thin, light = (i[::_THIN, ::_THIN].astype(np.float32) for i in (image, reference))
+
+    def off(values: np.ndarray) -> float:
+        return float(np.median(np.abs(values - light).mean(axis=2)))
+
+    usual = off(thin)
+    for name, values in _ALTERATIONS.items():
+        if usual > _MIN_JUMP and off(values(thin)) < _MATCH * usual:
+            return f"{name}, compared with the reference; record both alike"
+    return ""
+
+
+def _torn_row(change: Float[np.ndarray, "h w 3"], limit: float) -> int | None:
     """Return the row at which another frame begins, if the change shows one.
 
-    The change varies smoothly from row to row, and a tear makes it jump over much of the width. At
-    the straight edge of a contact it jumps too, but back again within a few rows.
+    The change varies smoothly from row to row, and a tear makes it jump: over much of the width, or
+    across a contact only, then more than a few rows away.
     """
-    height = len(change)
-    jump = np.median(np.abs(np.diff(change, axis=0)), axis=1)
+    gray = change.mean(axis=2)
+    jump = np.median(np.abs(np.diff(gray, axis=0)), axis=1)
     row = int(np.argmax(jump)) + 1
-    size, typical = jump[row - 1], max(float(np.median(jump)), _MIN_JUMP / limit)
-    if size <= limit * typical:
-        return None
+    size, typical = float(jump[row - 1]), max(float(np.median(jump)), _MIN_JUMP / limit)
+    if size > limit * typical and _is_step(gray, row, size):
+        return row
+    steps = np.abs(np.diff(change := change[:, ::_THIN], axis=0))
+    jump = np.quantile(steps.max(axis=2), 1 - _PART, axis=1)
+    beside = np.pad(jump, 2, mode="edge")
+    excess = jump / np.maximum(np.maximum(beside[:-4], beside[4:]), _MIN_JUMP)
+    row = int(np.argmax(excess)) + 1
+    torn = (steps[row - 1] >= jump[row - 1]).any(axis=1)
+    channel = int(np.argmax(steps[row - 1, torn].mean(axis=0)))
+    found = excess[row - 1] > _BESIDE_LIMIT * limit
+    return row if found and _is_step(change[:, torn, channel], row, float(jump[row - 1])) else None
+
+
+def _is_step(change: Float[np.ndarray, "h w"], row: int, size: float) -> bool:
+    """Whether a jump stays: at a straight edge of a contact it is back within a few rows."""
+    height = len(change)
     gap, reach = max(3, height // _EDGE), max(3, height // _BESIDE)
     above = change[max(row - gap - reach, 0) : row - gap] if row > gap else change[:1]
     below = change[row + gap : row + gap + reach] if row + gap < height else change[-1:]
     # Medians, as markers that move change some rows much.
     step = np.median(np.abs(np.median(below, axis=0) - np.median(above, axis=0)))
-    return row if step > 0.5 * size else None
+    return bool(step > 0.5 * size)
 
 
 def _dropped_frames(time_s: float | None, previous_s: float | None, rate_hz: float | None) -> str:
@@ -292,7 +341,7 @@ def open_source(source: Source) -> Iterator[Frame]:
 
 
 def read_image(path: str | Path) -> Image:
-    """Read an image file as RGB."""
+    """Read an image file as RGB, with its rows as stored: orientation tags are ignored."""
     # cv2.imread prints messages and cannot open every path.
     content = read_content(require_file(path, "image"))
     try:
@@ -312,16 +361,32 @@ def read_image(path: str | Path) -> Image:
             check_memory(f"image '{path}'", f"{width} x {height} px", 16.0 * width * height)
             if header.format == "TIFF":
                 header.load()  # OpenCV ignores errors in TIFF data
-        image: Any = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
-        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+            if header.format == "PNG":
+                header.verify()  # libpng would print its errors
+        image: Any = cv2.imdecode(np.frombuffer(content, np.uint8), _DECODING)
+        if image is None or image.dtype not in (np.uint8, np.uint16):
+            raise UnidentifiedImageError
+        return cv2.cvtColor(_eight_bits(image, path), cv2.COLOR_BGR2RGB)
     except FileError:
         raise
     except PillowImage.DecompressionBombError as error:
         raise FileError(f"image '{path}' is too large: {error}; give a smaller image.") from error
     except Exception as error:  # errors of damaged files have no common base class
-        raise FileError(
-            f"image '{path}' cannot be read: it is damaged or no image; take or copy it again."
-        ) from error
+        cause, kind = "it is damaged or no image; take or copy it again", _REFUSED.get(content[:4])
+        if kind and isinstance(error, UnidentifiedImageError):
+            cause = f"it is a {kind}, or damaged; {_SAVE_AS_PNG}"
+        raise FileError(f"image '{path}' cannot be read: {cause}.") from error
+
+
+def _eight_bits(image: np.ndarray, path: str | Path) -> np.ndarray:
+    if image.dtype == np.uint16:
+        if 0 < (largest := int(image.max())) <= _TWELVE_BITS:
+            raise FileError(
+                f"image '{path}' has 16 bits per channel, but no value above {largest}: values of"
+                f" {largest.bit_length()} bits; scale them to 16 bits, or {_SAVE_AS_PNG}."
+            )
+        return (image >> 8).astype(np.uint8)
+    return image
 
 
 def _folder_frames(path: Path) -> Iterator[Frame]:
@@ -402,11 +467,16 @@ def _declared_length(capture: Any) -> int:
 def _video_frames(capture: Any, path: Path) -> Iterator[Frame]:
     rate, expected = capture.get(cv2.CAP_PROP_FPS), _declared_length(capture)
     known_rate = 0 < rate <= _MAX_FRAME_RATE_HZ
-    count = 0
+    count, time_s, start_s = 0, None, 0.0
     try:
         while (captured := capture.read())[0]:
             rgb = cv2.cvtColor(captured[1], cv2.COLOR_BGR2RGB)
-            time_s = count / rate if known_rate else None
+            stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+            if known_rate and time_s is None:
+                time_s, start_s = 0.0, stamp_s
+            elif time_s is not None:  # a time stamp that does not rise is none
+                rises = time_s < stamp_s - start_s < np.inf
+                time_s = stamp_s - start_s if rises else time_s + 1 / rate
             yield Frame(count, f"{path.name} frame {count}", rgb, time_s)
             count += 1
     except cv2.error as error:
@@ -416,22 +486,32 @@ def _video_frames(capture: Any, path: Path) -> Iterator[Frame]:
         capture.release()
     if not count:
         raise FileError(f"video '{path}' has no frame that can be decoded.")
-    fault = f"the video is cut short: {count} of {expected} frames can be decoded"
-    for index in range(count, min(expected, count + _MAX_MISSING_FRAMES)):
+    # Some headers have the duration only, from which OpenCV computes the number of frames.
+    missing = expected - max(count, 0 if time_s is None else round(time_s * rate) + 1)
+    fault = (
+        f"the video is cut short or damaged: {count} of {count + missing} frames can be decoded;"
+        " after a damaged frame, times are too early"
+    )
+    for index in range(count, count + min(missing, _MAX_MISSING_FRAMES)):
         yield _faulty_frame(index, f"{path.name} frame {index}", fault)
+
+
+def image_fault(image: np.ndarray) -> str:
+    """Return why an array is no RGB image with 8 bits per channel, or ""."""
+    if image.dtype == np.uint8 and image.ndim == 3 and image.shape[2] == 3:
+        return ""
+    return (
+        f"an image must be (h, w, 3) of uint8, not {image.shape} of {image.dtype}; convert it to"
+        " RGB of 8 bits"
+    )
 
 
 def _array_frames(images: Iterable[np.ndarray]) -> Iterator[Frame]:
     index = -1
     for index, image in enumerate(images):
         array, name = np.asarray(image), f"frame {index}"
-        if array.dtype == np.uint8 and array.ndim == 3 and array.shape[2] == 3:
-            yield Frame(index, name, array)
-            continue
-        yield _faulty_frame(
-            index, name, f"an image must be (h, w, 3) of uint8, not {array.shape} of {array.dtype};"
-            " convert it to RGB of 8 bits",
-        )  # fmt: skip
+        fault = image_fault(array)
+        yield _faulty_frame(index, name, fault) if fault else Frame(index, name, array)
     if index < 0:
         raise FileError("no image was given as a frame; is the source empty?")
 

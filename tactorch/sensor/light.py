@@ -129,6 +129,9 @@ def _simplest(wide: list[LightChange], narrow: list[LightChange]) -> LightChange
     simple = np.arange(len(shares)) < 2  # further ones explain more of a gel that is deformed
     similar = scores > scores[best] - 0.5 * least
     similar |= (shares > shares[best] - least) & (simple | bool(best))
+    # Another gamma resembles a factor that rises to one side as well as one with much added light.
+    factor = np.abs(narrow[-1].terms[:, 0]).max()
+    similar[-1] |= best == 2 and factor < _ON and wide[-1].share > wide[best].share - least
     apart = [np.abs(narrow[k].terms - found.terms)[:, 0].max() for k in np.flatnonzero(similar)]
     return LightChange(found.terms, float(max(apart)), wide[best].share)
 

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from tactorch.config import Options, option
 from tactorch.errors import ConfigError
 from tactorch.sensor.description import SensorDescription
-from tactorch.sensor.frames import Image
+from tactorch.sensor.frames import Image, image_fault
 from tactorch.sensor.marker_edge import CLEAN, MarkerDiscs, circles, fit_discs
 from tactorch.sensor.marker_match import (
     LOST_COST,
@@ -120,6 +120,8 @@ def _relative_darkness(image: Image, appearance: MarkerAppearance) -> _Darkness:
     Markers are dark in every color, colored light is not. The brightest of the three colors is
     therefore compared with its median over a window that is wider than a marker.
     """
+    if fault := image_fault(image):
+        raise ConfigError(f"{fault}.")
     brightest = image.max(axis=2)
     size = 2 * round(0.7 * np.sqrt(appearance.max_area) * appearance.diameter_px) + 1
     margin = size // 2
@@ -266,6 +268,8 @@ class MarkerTracker:
             are as good.
         covered: Markers of the last frame that are covered, or beside dirt. Their positions are
             those of the visible part of the edge, or NaN if that is too short.
+        unlike: Number of markers of the last frame that do not look as in the reference, where
+            these are too many to recognize and correct single ones; 0 where they are few.
         reassigned: Whether the markers of the last frame were assigned from the reference.
 
     Raises:
@@ -298,7 +302,7 @@ class MarkerTracker:
         self._checked = np.isfinite(edges).mean(axis=1) >= CLEAN
         edges = np.where(np.isfinite(edges), edges, np.nan)
         self._outline = np.where(self._checked[:, None], edges, self.appearance.diameter_px / 2)
-        self.reassigned = False
+        self.reassigned, self.unlike = False, 0
         self._previous_px = self.reference_px.copy()  # measured, or predicted for lost markers
         self._previous_image = self.reference
 
@@ -308,6 +312,13 @@ class MarkerTracker:
         unsure, covered = int(self.ambiguous.sum()), int(self.covered.sum())
         lost = int((self.covered & self._lost).sum())
         parts, count = [], len(self.ambiguous)
+        if self._lost.all() and not unsure:
+            parts.append("no marker is found")
+        if self.unlike:
+            parts.append(
+                f"{self.unlike} of {count} markers do not look as in the reference: covered, dirty"
+                " or blurred, and not corrected"
+            )
         if unsure:
             parts.append(f"{unsure} of {count} markers cannot be distinguished")
         if covered:
@@ -322,6 +333,7 @@ class MarkerTracker:
         No marker is seen in a missing frame, None.
         """
         self.ambiguous, self.covered, self._lost = np.zeros((3, len(self.reference_px)), dtype=bool)
+        self.unlike = 0
         if image is None:
             return np.full(self.reference_px.shape, np.nan)
         if image.shape != self.reference.shape:
@@ -384,6 +396,7 @@ class MarkerTracker:
         discs, tolerance = fit_discs(darkness, starts, self._outline, threshold, predicted)
         usual = checked & seen & discs.clean
         if usual.sum() <= _ROUND * (checked & seen).sum():  # nothing is known of single markers
+            self.unlike = int((checked & seen).sum() - usual.sum())
             return positions
         by_edge = self.reference_px + discs.centers - self._discs.centers
         off = np.linalg.norm(by_edge - starts, axis=1)

@@ -438,9 +438,15 @@ def wide(folder: Path) -> None:
     save_calibration(other, folder / "calib.npz")
 
 
+def resized(folder: Path) -> None:
+    for k in range(2):
+        write(folder / f"resized/{k}.png", np.full((60, 75, 3), 120, dtype=np.uint8))
+
+
 @pytest.mark.parametrize(
     ("verb", "spoil", "settings", "words"),
     [
+        ("track", resized, ("frames=resized",), ("no frame can be used", "0.png is 75 x 60 px")),
         ("track", None, ("frames=nowhere",), ("folder of frames not found: 'nowhere'",)),
         ("track", None, ("frames=calib.npz",), ("calib.npz", "no source of frames")),
         ("track", None, ("magnify=0",), ("magnify=0",)),

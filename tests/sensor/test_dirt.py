@@ -100,6 +100,27 @@ def test_several_specks() -> None:
     assert set(np.flatnonzero(tracker.covered[order])) == set(specks)
 
 
+def test_a_hidden_row_of_markers() -> None:
+    """Too many are half covered to correct them: 7 of 35."""
+    dirty = image()
+    dirty[: int(PLACES[:, 1].min()) + 2] = 150
+    tracker = MarkerTracker(image(seed=0), LOOK)
+    tracker.track(dirty)
+    assert tracker.unlike >= 7
+    assert f"{tracker.unlike} of 35 markers do not look as in the reference" in tracker.fault
+    tracker.track(image())
+    assert tracker.fault == ""
+
+
+@pytest.mark.parametrize("shown", [image(PLACES[:0]), 255 - image()], ids=["none", "inverted"])
+def test_no_marker_is_found(shown: np.ndarray) -> None:
+    tracker = MarkerTracker(image(seed=0), LOOK)
+    assert np.isnan(tracker.track(shown)).all()
+    assert tracker.fault == "no marker is found"
+    tracker.track(None)
+    assert tracker.fault == ""
+
+
 def test_clean_markers_are_not_reported() -> None:
     tracker = MarkerTracker(image(seed=0), LOOK)
     assert np.isfinite(tracker.track(image(pressed(PLACES, 4.0)))).all()

@@ -1,5 +1,6 @@
 """Damaged and hostile files of the sensor: a `TactorchError` that names the file, or a result."""
 
+import io
 import json
 import struct
 import subprocess
@@ -13,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image as PillowImage
 
 from tactorch.errors import FileError, TactorchError
 from tactorch.sensor.calibration import (
@@ -23,7 +25,7 @@ from tactorch.sensor.calibration import (
     save_calibration,
 )
 from tactorch.sensor.description import GelLayer, SensorDescription, load_sensor
-from tactorch.sensor.frames import read_frames, read_image
+from tactorch.sensor.frames import open_source, read_frames, read_image
 from tactorch.sensor.poses import read_poses
 from tactorch.sensor.scale import read_corners
 
@@ -161,6 +163,110 @@ def test_number_beyond_the_floats(tmp_path: Path) -> None:
     path.write_text(YAML.replace("thickness_mm: 3.0", "thickness_mm: " + "9" * 400))
     with pytest.raises(TactorchError, match=r"sensor\.yaml"):
         load_sensor(path)
+
+
+FLAT = np.full((48, 64, 3), 200)
+
+
+def tagged(orientation: int) -> bytes:
+    """A JPEG file whose tag states another orientation."""
+    content, tags = io.BytesIO(), PillowImage.Exif()
+    tags[0x0112] = orientation
+    PillowImage.fromarray(IMAGE).save(content, "JPEG", exif=tags, quality=97)
+    return content.getvalue()
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6])
+def test_orientation_tags_are_ignored(orientation: int, tmp_path: Path) -> None:
+    (tmp_path / "frame.jpg").write_bytes(tagged(orientation))
+    assert np.abs(read_image(tmp_path / "frame.jpg").astype(int) - IMAGE).mean() < 3.0
+
+
+@pytest.mark.parametrize(
+    ("suffix", "stored", "says"),
+    [
+        (".png", FLAT.astype(np.uint16) * 16, "16 bits per channel.*above 3200.*of 12 bits; scale"),
+        (".png", FLAT.astype(np.uint16) * 4, "above 800: values of 10 bits"),
+        (".tif", (FLAT / 255).astype(np.float32), "TIFF of floats.*save it as PNG"),
+        (
+            ".tif",
+            (FLAT[..., 0] / 255).astype(np.float32),
+            "TIFF of floats.*save it as PNG",
+        ),
+        (".webp", FLAT.astype(np.uint8), "it is a WebP, or damaged; save it as PNG with 8 bits"),
+        (".gif", FLAT.astype(np.uint8), "it is a GIF, or damaged; save it as PNG with 8 bits"),
+    ],
+)
+def test_images_of_other_values_or_formats(
+    suffix: str, stored: np.ndarray, says: str, tmp_path: Path
+) -> None:
+    path = tmp_path / ("frame.tif" if suffix == ".tif" else "frame.png")
+    path.write_bytes(cv2.imencode(suffix, stored)[1].tobytes())
+    with pytest.raises(FileError, match=says) as caught:
+        read_image(path)
+    assert path.name in str(caught.value)
+
+
+def test_sixteen_bits_are_scaled(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "frame.png"), IMAGE[..., ::-1].astype(np.uint16) * 257)
+    np.testing.assert_array_equal(read_image(tmp_path / "frame.png"), IMAGE)
+
+
+def test_libraries_print_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    flipped = bytearray(encoded(".png"))
+    flipped[len(flipped) // 2] ^= 0xFF
+    damaged = {"half.png": flipped[:2000], "flipped.png": flipped, "text.mp4": b"no video" * 500}
+    for name, content in damaged.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(FileError, match=name):
+            list(open_source(tmp_path / name))
+    assert "".join(capfd.readouterr()) == ""
+
+
+class VariableVideo:
+    """A capture whose frames have time stamps, with the rate and number that a header declares."""
+
+    def __init__(self, stamps_ms: list[float], rate: float, declared: int) -> None:
+        self.stamps_ms, self.next = stamps_ms, 0
+        self.header = {cv2.CAP_PROP_FPS: rate, cv2.CAP_PROP_FRAME_COUNT: float(declared)}
+
+    def isOpened(self) -> bool:
+        return True
+
+    def get(self, key: int) -> float:
+        stamp = self.stamps_ms[max(self.next - 1, 0)] if self.stamps_ms else 0.0
+        return stamp if key == cv2.CAP_PROP_POS_MSEC else self.header.get(key, 48.0)
+
+    def read(self) -> tuple[bool, np.ndarray]:
+        self.next += 1
+        return self.next <= len(self.stamps_ms), IMAGE
+
+    def release(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("stamps_ms", "declared", "times_s", "missing"),
+    [
+        pytest.param([0, 33, 67, 167, 267], 9, [0, 0.033, 0.067, 0.167, 0.267], 0, id="variable"),
+        pytest.param([0, 33, 67, 167, 267], 12, [0, 0.033, 0.067, 0.167, 0.267], 3, id="cut"),
+        pytest.param([500, 540, 580], 3, [0, 0.04, 0.08], 0, id="from a later start"),
+        pytest.param([0, 0, 0], 3, [0, 1 / 30, 2 / 30], 0, id="none"),
+        pytest.param([0, 50, 20, 120], 4, [0, 0.05, 0.05 + 1 / 30, 0.12], 0, id="one back"),
+        pytest.param([0, float("nan"), 70], 3, [0, 1 / 30, 0.07], 0, id="one unknown"),
+    ],
+)
+def test_times_are_those_of_the_video(
+    stamps_ms: list[float], declared: int, times_s: list[float], missing: int, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    path = tmp_path / "press.mkv"
+    path.write_bytes(b"RIFF")
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: VariableVideo(stamps_ms, 30.0, declared))
+    frames = list(open_source(path))
+    seen = [frame for frame in frames if frame.image is not None]
+    np.testing.assert_allclose([frame.time_s for frame in seen], times_s, atol=1e-9)
+    assert len(frames) - len(seen) == missing
 
 
 def huge_png(side: int) -> bytes:

@@ -136,10 +136,41 @@ def test_the_straight_edge_of_a_contact_is_no_tear(gel_image: np.ndarray, row: i
     assert detect_fault(torn, gel_image, None) == f"torn at row {row}"
 
 
-def test_a_press_is_no_fault(gel_image: np.ndarray) -> None:
+def dent(row: float) -> np.ndarray:
+    """Change of the colors where a ball presses, over a quarter of the width."""
     y, x = np.mgrid[:48, :64]
-    dent = np.exp(-((x - 30) ** 2 + (y - 20) ** 2) / 60)[..., None]
-    pressed = np.clip(gel_image + dent * (60, -50, 40), 0, 255).astype(np.uint8)
+    ball = np.exp(-((x - 30) ** 2 + (y - row) ** 2) / 60)[..., None]
+    return ball * (60, -50, 40)
+
+
+@pytest.mark.parametrize("row", [18, 20, 24])
+def test_a_tear_across_a_contact(gel_image: np.ndarray, row: int) -> None:
+    torn = np.clip(gel_image + dent(20.0), 0, 255).astype(np.uint8)
+    torn[row:] = gel_image[row:]
+    assert detect_fault(torn, gel_image, None) == f"torn at row {row}"
+
+
+@pytest.mark.parametrize(
+    ("alter", "says"),
+    [
+        (lambda image: image[..., ::-1], "red and blue are swapped, compared with the reference"),
+        (lambda image: image[::-1, ::-1], "turned by 180 degrees"),
+        (lambda image: image[:, ::-1], "mirrored left to right"),
+        (lambda image: image[::-1], "mirrored top to bottom"),
+        (lambda image: np.repeat(image[..., :1], 3, axis=2), "no colors: all channels are equal"),
+    ],
+)
+def test_frames_that_were_converted(
+    gel_image: np.ndarray, alter: Callable[[np.ndarray], np.ndarray], says: str
+) -> None:
+    pressed = np.clip(gel_image + dent(20.0), 0, 255).astype(np.uint8)
+    assert detect_fault(np.ascontiguousarray(alter(pressed)), gel_image, None).startswith(says)
+    gray = np.ascontiguousarray(np.repeat(gel_image[..., :1], 3, axis=2))
+    assert detect_fault(gray, gray, None) == ""
+
+
+def test_a_press_is_no_fault(gel_image: np.ndarray) -> None:
+    pressed = np.clip(gel_image + dent(20.0), 0, 255).astype(np.uint8)
     assert detect_fault(pressed, gel_image, gel_image) == ""
 
 

@@ -82,7 +82,7 @@ def test_a_factor_is_reported(calibration: Calibration) -> None:
     assert light.factor == pytest.approx(0.95, abs=0.01)
 
 
-@pytest.mark.parametrize("gamma", [0.85, 1.15])
+@pytest.mark.parametrize("gamma", [0.7, 0.8, 0.85, 1.15, 1.3, 1.5])
 def test_another_gamma_is_a_fault(calibration: Calibration, depth_mm: float, gamma: float) -> None:
     found = height(calibration, lambda image: 255 * (image / 255) ** gamma)
     assert abs(found.depth_mm - depth_mm) < 2.0 * found.light_error_mm

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from types import SimpleNamespace
 
+import jaxtyping
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -55,6 +56,23 @@ def test_merged_markers_are_divided_and_large_ones_are_not() -> None:
     found = detect_markers(draw(places, radii=radii), LOOK)
     assert len(found) == 3
     assert errors(found, places).max() < 0.7
+
+
+@pytest.mark.parametrize(
+    ("use", "says"),
+    [
+        (lambda image: detect_markers(image / 255.0, LOOK), "(240, 320, 3) of float64"),
+        (lambda image: MarkerTracker(image[..., 0], LOOK), "(240, 320) of uint8"),
+        (lambda image: MarkerTracker(image, LOOK).track(image / 255.0), "of float64; convert it"),
+    ],
+)
+def test_images_of_other_types(
+    use: Callable[[np.ndarray], object], says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)  # as for users
+    with pytest.raises(ConfigError, match=r"must be \(h, w, 3\) of uint8, not") as caught:
+        use(draw(grid()))
+    assert says in str(caught.value)
 
 
 def test_dirt_is_no_marker() -> None:

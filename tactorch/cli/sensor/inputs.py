@@ -13,7 +13,7 @@ from tactorch.cli.sensor.options import (
     SensorSettings,
     SequenceSettings,
 )
-from tactorch.errors import ConfigError
+from tactorch.errors import ConfigError, FileError
 from tactorch.sensor.calibration import Calibration, load_calibration
 from tactorch.sensor.chain import SensorChain
 from tactorch.sensor.description import SensorDescription, load_sensor
@@ -81,12 +81,16 @@ class FrameSequence:
         return count if self.max_frames is None else min(count, self.max_frames)
 
     def process(self, label: str, function: Callable[[Frame], _T]) -> list[_T]:
-        """Apply a function to all frames, with a progress bar."""
+        """Apply a function to all frames, with a progress bar; none with an image is an error."""
         results: list[_T] = []
+        faults: list[str] = []
         with progress(label, "frames") as report:
             for frame in self:
                 results.append(function(frame))
+                faults += [frame.fault] if frame.image is None else []
                 report(len(results), self.total)
+        if faults and len(faults) == len(results):
+            raise FileError(f"frames={self.source}: no frame can be used; the first: {faults[0]}")
         return results
 
     def _read(self) -> Iterator[Frame]:
