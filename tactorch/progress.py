@@ -246,4 +246,7 @@ class _LogLine(_PlainLine, logging.Handler):
         logging.Handler.close(self)
 
     def _write(self, line: str) -> None:
-        _log.info("%s", line)
+        if _log.isEnabledFor(logging.INFO):
+            _log.info("%s", line)
+        else:  # meanwhile, as in a computation on one thread
+            super()._write(line)

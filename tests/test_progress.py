@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from tactorch import progress
+from tactorch.processes import single_thread
 from tactorch.progress import progress_line, without_progress
 
 
@@ -175,6 +176,20 @@ def test_where_messages_are_logged_silence_is_broken_in_the_log(
         update("iteration 3")
     assert caplog.messages == ["iteration 1", "inversion: iteration 3 (18 s)"]
     assert logging.getLogger("tactorch").handlers == handlers
+
+
+def test_silence_is_broken_while_messages_are_not_logged(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """As in the main process where it computes what processes of one thread would."""
+    monkeypatch.setattr(progress, "is_terminal", lambda _: False)
+    caplog.set_level(logging.INFO, "tactorch")
+    with progress_line("cases") as update, single_thread():
+        clock.now += 9.0
+        update("1 of 2")
+    assert not caplog.messages
+    assert capsys.readouterr().err == "cases: 1 of 2 (9 s)\n"
 
 
 def test_a_computation_without_a_new_state_gives_signs_of_life(
