@@ -50,7 +50,7 @@ from tactorch.inverse.incremental import IncrementalInversion, IncrementalResult
 from tactorch.inverse.invert import compute_posterior, invert, invert_map, make_objective
 from tactorch.inverse.result import Lump, Reconstruction, Status, find_lump, find_lumps
 from tactorch.inverse.result.shapes import ShapeInclusion, ShapeReconstruction
-from tactorch.inverse.search import find_shapes
+from tactorch.inverse.search import PhysicsImage, find_shapes, physics_image
 from tactorch.inverse.shape_samples import ShapeIntervals, ShapeSamples, sample_shapes
 
 __all__ = [
@@ -87,6 +87,7 @@ __all__ = [
     "Optimizer",
     "PalpationProblem",
     "Parameterization",
+    "PhysicsImage",
     "Point",
     "Prior",
     "Quadratic",
@@ -117,6 +118,7 @@ __all__ = [
     "is_palpation",
     "make_objective",
     "monte_carlo",
+    "physics_image",
     "sample_shapes",
     "settings_from",
 ]

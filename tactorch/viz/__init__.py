@@ -12,6 +12,7 @@ from tactorch.viz.uncertainty import (
     credibility_figure,
     depth_figure,
     layer_figure,
+    physics_figure,
     sampling_figure,
 )
 
@@ -22,6 +23,7 @@ __all__ = [
     "credibility_figure",
     "depth_figure",
     "layer_figure",
+    "physics_figure",
     "reconstruction_figure",
     "sampling_figure",
     "save_figure",

@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure, SubFigure
 
+from tactorch.inverse import PhysicsImage
 from tactorch.mesh import Sphere, TetMesh
 from tactorch.viz.figure import (
     add_legend,
@@ -21,9 +22,26 @@ from tactorch.viz.slices import slice_figure
 from tactorch.viz.slicing import cut, even_planes
 
 METRIC = "credibility L (mm/MPa)"
+_NOISE = 3.0  # standard deviations, to which a scale of noise alone reaches
 _SLICES = 4  # slices across z in `depth_figure`
 _ANGLES = np.linspace(0.0, 2.0 * np.pi, 73)
 Groups = Mapping[str, Mapping[str, np.ndarray]]
+
+
+def physics_figure(image: PhysicsImage, *, n_slices: int = 5, title: str = "") -> Figure:
+    """Return slices of the signal over noise of the presses: red where they show a stiffer place.
+
+    Args:
+        image: Result of `tactorch.inverse.physics_image`.
+        n_slices: Number of evenly spaced slices across each axis.
+        title: Title of the figure.
+    """
+    signal = image.grid.at_elements(image.signal)
+    largest = max(float(np.abs(signal).max()), _NOISE)
+    return slice_figure(
+        image.grid.mesh, signal, n_slices=n_slices, limits_mpa=(-largest, largest), cmap="RdBu_r",
+        label="signal over noise", title=title,
+    )  # fmt: skip
 
 
 def layer_figure(curves: Mapping[str, tuple[np.ndarray, np.ndarray]], *, title: str = "") -> Figure:

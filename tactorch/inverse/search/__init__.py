@@ -1,5 +1,6 @@
 """The search for inclusions: hypotheses, proposals, evidence and model criticism."""
 
-from tactorch.inverse.search.search import find_shapes
+from tactorch.inverse.search.physics_image import PhysicsImage
+from tactorch.inverse.search.search import find_shapes, physics_image
 
-__all__ = ["find_shapes"]
+__all__ = ["PhysicsImage", "find_shapes", "physics_image"]

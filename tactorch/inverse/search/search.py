@@ -47,6 +47,7 @@ from tactorch.inverse.search.model import (
     unexplained,
 )
 from tactorch.inverse.search.palpation import PalpationSearch, at_some_places
+from tactorch.inverse.search.physics_image import PhysicsImage
 from tactorch.inverse.search.problem import ShapeProblem, is_same_model
 from tactorch.inverse.search.proposals import promising, propose
 from tactorch.inverse.search.sizing import refined_at_contacts
@@ -117,21 +118,51 @@ def find_shapes(
                     # The model is not kept: its predictions hold the arrays of these places.
                     path = _accept_models(PalpationSearch(part, *options), limit, None, update)[1]
             update("elements at all places")
-            problem: SearchProblem = PalpationSearch(recording, *options)
-        elif of_grasps:
-            problem = GraspSearch(recording, settings, limit, max_shapes)
-        else:
-            if has_markers(recording):
-                update("gel and object")
-                found = _through_gel(recording, settings, limit, max_shapes, start, update)
-                if found is not None:
-                    return found
-            refined = recording if is_same_model(recording) else refined_at_contacts(recording)
-            problem = ShapeProblem(refined, settings, limit, kept, max_shapes)
-            if start is None:
-                _log_provisional(problem)
+        elif not of_grasps and has_markers(recording):
+            update("gel and object")
+            found = _through_gel(recording, settings, limit, max_shapes, start, update)
+            if found is not None:
+                return found
+        problem = _problem(recording, settings, limit, max_shapes, kept)
+        if start is None and isinstance(problem, ShapeProblem):
+            _log_provisional(problem)
         model, result = search(problem, limit, start, update, path)
         return replace(result, predictions=problem.predictions(model, recording))
+
+
+def physics_image(
+    recording: Recording, settings: Settings | None = None, *, count: int = 16
+) -> PhysicsImage:
+    """Return the signal over noise and the sensitivity of presses about the best uniform body.
+
+    Args:
+        recording: Presses on an object; its truth is not read. Those of a sensor are presses with
+            the forces that the recording states.
+        settings: As of `find_shapes`.
+        count: Voxels along each side of the bounding box.
+
+    Raises:
+        ConfigError: a setting cannot be used.
+        ConvergenceError: with no uniform modulus do all presses have an equilibrium.
+    """
+    problem = _problem(recording, settings or Settings())
+    return PhysicsImage.of(problem, problem.uniform(), count)
+
+
+def _problem(
+    recording: Recording,
+    settings: Settings,
+    stop: Callable[[], bool] = lambda: False,
+    max_shapes: int = 0,
+    kept: KeptRims | None = None,
+) -> SearchProblem:
+    """Return the presses of a recording as a problem of the search."""
+    if is_palpation(recording):
+        return PalpationSearch(recording, settings, stop, max_shapes)
+    if is_of_grasps(recording):
+        return GraspSearch(recording, settings, stop, max_shapes)
+    refined = recording if is_same_model(recording) else refined_at_contacts(recording)
+    return ShapeProblem(refined, settings, stop, kept, max_shapes)
 
 
 def _through_gel(
