@@ -5,7 +5,6 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from tactorch.cli import COMMANDS
 from tactorch.cli.compose import compose_options
 from tactorch.cli.overrides import given
 from tactorch.cli.resume import command_of, has_state
@@ -57,7 +56,9 @@ def check_run_folder(command: str, words: Sequence[str]) -> None:
     resumed = typed.get("resume", "")
     if resumed and os.path.realpath(folder) == os.path.realpath(resumed):
         return
-    results, earlier = results_in(folder), command_of(folder) or _command_of_log(folder)
+    results, earlier = results_in(folder), command_of(folder)
+    if (folder / f"{app_name(command)}.log").is_file():  # a copy may lack hidden files
+        earlier = earlier or app_name(command)
     if not results or earlier is None:
         return
     if earlier != app_name(command):
@@ -75,12 +76,6 @@ def check_run_folder(command: str, words: Sequence[str]) -> None:
             f"run_dir={folder} holds the results of an earlier run ({listed}); give {resume}"
             "another run_dir, or overwrite=true to replace them."
         )
-
-
-def _command_of_log(folder: Path) -> str | None:
-    """Return the command whose log is in a folder without settings, which copies may lack."""
-    names = {app_name(command) for command in COMMANDS}
-    return next((path.stem for path in folder.glob("*.log") if path.stem in names), None)
 
 
 class Replaced:
