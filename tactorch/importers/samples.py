@@ -13,7 +13,13 @@ from jaxtyping import Bool, Float, Int
 from tactorch.errors import FileError
 from tactorch.importers.quantities import PALPATION_UNITS, clean
 from tactorch.importers.sheets import Sheet, read_sheet
-from tactorch.importers.strokes import find_mixed, find_places, find_stroke, lost_work
+from tactorch.importers.strokes import (
+    find_limited,
+    find_mixed,
+    find_places,
+    find_stroke,
+    lost_work,
+)
 
 _log = logging.getLogger(__name__)
 _AXES = "xyz"
@@ -252,6 +258,7 @@ class _Strokes:
             for part, outward in zip(self.parts, known, strict=True)
         ]
         self.pressed = [p[s.pressed] for p, s in zip(self.parts, self.strokes, strict=True)]
+        self.limited = self._leave_limited(known, path)
         centres = [rows.centres_mm[pressed] for pressed in self.pressed]
         self.origins, last = (np.array([c[i] for c in centres]) for i in (0, -1))
         self.travel = np.linalg.norm(last - self.origins, axis=1)
@@ -259,6 +266,29 @@ class _Strokes:
         self.normals = normals / np.maximum(lengths, 1e-300)[:, None]
         if rows.normals is None:
             self._take_motion(centres, last)
+
+    def _leave_limited(self, outward: Float[np.ndarray, "probes 3"], path: Path) -> int:
+        """Leave out the rows of the loading branches that are at the limit of the force sensor."""
+        parts = zip(self.pressed, outward, np.abs(outward).argmax(axis=1), strict=True)
+        branches = [
+            (-self.rows.centres_mm[p] @ n, np.sign(n[axis]) * self.rows.forces_n[p, axis])
+            for p, n, axis in parts
+        ]
+        tops = [force.max() for _, force in branches]
+        limits = {tops[k] for k, branch in enumerate(branches) if find_limited(*branch)}
+        limited = [k for k, top in enumerate(tops) if top in limits]
+        count = 0
+        for k in limited:
+            below = branches[k][1] < tops[k]
+            count += int((~below).sum())
+            self.pressed[k] = self.pressed[k][below]
+        if limited:
+            _log.warning(
+                "'%s': %d samples of %d probes are left out, as their force is at the limit of the "
+                "sensor (%.3g N): %s. Press less deep there, or use a sensor of a larger range.",
+                path, count, len(limited), np.abs(max(limits)), _named(self.names[limited]),
+            )  # fmt: skip
+        return count
 
     def _take_motion(
         self, centres: list[Float[np.ndarray, "_ 3"]], last: Float[np.ndarray, "probes 3"]
@@ -294,7 +324,9 @@ class _Strokes:
         lifted = [stroke.lifted for stroke in self.strokes]
         moved, pressed = sum(stroke.moved for stroke in self.strokes), sum(map(len, self.pressed))
         left_out["before the approach"] = moved
-        left_out["lifted or pressed again"] = len(self.rows.labels) - moved - pressed
+        left_out["at the limit of the force sensor"] = self.limited
+        lifts = len(self.rows.labels) - moved - pressed - self.limited
+        left_out["lifted or pressed again"] = lifts
         branches = [
             (self._branch(k, self.pressed[k]), self._branch(k, self.parts[k][lifted[k]]))
             for k in range(len(self.names))
@@ -391,7 +423,11 @@ def _radius(path: Path, rows: Rows) -> float:
 def name_probes(path: str | Path, names: np.ndarray, reason: str) -> None:
     """Log a warning about probes that are left out, where there are any."""
     if len(names):
-        shown = ", ".join(f"'{name}'" for name in names[:NAMED])
-        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
         count = f"{len(names)} probes are" if len(names) > 1 else "1 probe is"
-        _log.warning("'%s': %s left out, with %s: %s%s.", path, count, reason, shown, more)
+        _log.warning("'%s': %s left out, with %s: %s.", path, count, reason, _named(names))
+
+
+def _named(names: np.ndarray) -> str:
+    """Return names of probes, the first of many."""
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(f"'{name}'" for name in names[:NAMED]) + more

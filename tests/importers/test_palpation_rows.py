@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 from tactorch.errors import TactorchError
 from tactorch.fem.contact.pressures import ball_force
 from tactorch.importers import import_palpation
-from tactorch.importers.strokes import find_mixed, find_stroke, lost_work
+from tactorch.importers.strokes import find_limited, find_mixed, find_stroke, lost_work
 from tactorch.mesh import TetMesh, box_mesh, write_mesh
 from tactorch.recording import Recording
 
 from .palpation_tables import (
     DEPTH,
     HEIGHT,
+    MODULUS,
     NAMES,
     NOISE,
     PLANE,
@@ -181,6 +182,44 @@ def test_the_offset_of_probes_without_air_is_that_of_the_others(
     }
     assert deviations["probe 4"] == pytest.approx(OFFSETS.std(), rel=0.4)
     assert deviations["probe 5"] < 0.003
+
+
+@pytest.mark.parametrize("offset", [0.0, -5.0])
+def test_forces_at_the_limit_of_the_sensor_are_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, offset: float
+) -> None:
+    rows = palpation(offset=lambda k, time: offset)
+    stiff = rows[:, 0] % 5 == 0
+    rows[stiff] = palpation(offset=lambda k, time: offset, modulus=4.0 * MODULUS)[stiff]
+    rows[:, 6] = np.minimum(rows[:, 6], offset + 0.3)
+    recording = read(write(tmp_path / "p.csv", rows))
+    ratios = forces_over_expected(recording)
+    assert ratios[::5] == pytest.approx(4.0, rel=0.15)
+    assert np.delete(ratios, np.s_[::5]) == pytest.approx(1.0, abs=0.08)
+    count = np.isclose(rows[:, 6], offset + 0.3).sum()
+    assert recording.provenance["rows_left_out"]["at the limit of the force sensor"] == count
+    shown = f"limit of the sensor ({abs(offset + 0.3):.3g} N): '0', '5', '10', '15'."
+    assert f"{count} samples of 4 probes are left out" in caplog.text
+    assert shown in caplog.text
+
+
+@pytest.mark.parametrize("step_mm", [0.002, 0.05])
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+@pytest.mark.parametrize("resolution", [0.02, 0.1])
+def test_coarse_and_slow_forces_and_dwells_are_not_at_the_limit(
+    step_mm: float, noise: float, resolution: float
+) -> None:
+    depth = np.concatenate([path_of(step=step_mm), np.full(50, DEPTH)])
+    rows = palpation(depth, side=1)
+    force = PLANE * ball_force(depth, RADIUS) + noise * (
+        rows[:, 6] - PLANE * ball_force(depth, RADIUS)
+    )
+    coarse = resolution * np.round(force / resolution)
+    assert not find_limited(depth, coarse)
+    slow = force[np.arange(len(force)) // 10 * 10]
+    assert not find_limited(depth[:-50], slow[:-50])
+    assert not find_limited(depth, resolution * np.round(noise * rows[:, 4] / resolution))
+    assert find_limited(depth, np.minimum(coarse, 0.1)) == (resolution < 0.1 / 4.0)
 
 
 # --- Units -----------------------------------------------------------------------------------
