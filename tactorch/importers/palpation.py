@@ -283,7 +283,8 @@ class PalpationOptions(PalpationSettings):
         if what == "position" and rows.contacts_mm is not None:
             prefixes.append("contact_")
         units = ", ".join(f"{prefix}{axis}: {unit}" for prefix in prefixes for axis in "xyz")
-        return f'give "format.units={{{units}}}"'
+        inches = " (or in instead of cm)" if unit == "cm" else ""
+        return f'give "format.units={{{units}}}"{inches}'
 
 
 def import_palpation(path: str | Path, **options: Any) -> Recording:

@@ -154,7 +154,7 @@ def _table(source: Path, header: list[str], rows: list[tuple[int, list[str]]]) -
 
 def _with_unit(name: str, unit: str) -> str:
     """Return the name of a column with the unit that is stated below it."""
-    return name if unit not in UNITS or clean(name).endswith(f"_{unit}") else f"{name}_{unit}"
+    return name if not unit or clean(name).endswith(f"_{unit}") else f"{name} [{unit}]"
 
 
 def _with_point(cell: Any) -> Any:

@@ -249,6 +249,47 @@ def test_units_are_refused_by_what_they_imply(tmp_path: Path, unit: str) -> None
     check(read(write(path, rows, names)))
 
 
+OTHER_UNITS = {
+    "g": (slice(4, 7), 1e3 / 9.80665),
+    "kgf": (slice(4, 7), 1.0 / 9.80665),
+    "lbf": (slice(4, 7), 1.0 / 4.4482216),
+    "inch": (slice(1, 4), 1.0 / 25.4),
+    "\u00b5m": (slice(1, 4), 1e3),  # the letter of the unit, then the Greek one
+    "\u03bcm": (slice(1, 4), 1e3),
+    "dyn": (slice(4, 7), 1e5),
+    "ft": (slice(1, 4), 1.0 / 304.8),
+}
+
+
+@pytest.mark.parametrize(
+    ("place", "named"), [("{} [{}]", False), ("{}_{}", True), ("below", False), ("below", True)]
+)
+@pytest.mark.parametrize("unit", OTHER_UNITS)
+def test_units_of_names_are_read_or_refused(
+    tmp_path: Path, unit: str, place: str, named: bool
+) -> None:
+    columns, factor = OTHER_UNITS[unit]
+    rows = palpation(side=3)
+    rows[:, columns] *= factor
+    names, units = [name.split("_")[0] for name in NAMES], [""] * 7
+    units[columns] = [unit] * 3
+    if place != "below":
+        names[columns] = [place.format(name, unit) for name in names[columns]]
+    quantities = ("x", "y", "z", *FORCES)
+    stated = dict(zip(quantities, [f"{'Log ' * named}{n}" for n in names[1:]], strict=True))
+    path = write(tmp_path / "p.csv", rows, ["probe", *stated.values()])
+    if place == "below":
+        default = ["-", *["mm"] * 3, *["N"] * 3]
+        units = [known or other for known, other in zip(units, default, strict=True)]
+        path.write_text(path.read_text().replace("\n", "\n" + ",".join(units) + "\n", 1))
+    options = {"columns": stated} if named else {}
+    if unit in ("dyn", "ft"):
+        with pytest.raises(TactorchError, match=rf"p\.csv.*unit '{unit}', which is none of"):
+            read(path, **options)
+    else:
+        check(read(path, **options), probes=9)
+
+
 def test_a_wide_palpation_in_cm_is_refused_by_its_depths(tmp_path: Path) -> None:
     rows = palpation()
     rows[:, 1:3] *= 2.5  # 10 mm apart
