@@ -23,12 +23,17 @@ from tactorch.importers.strokes import (
 
 _log = logging.getLogger(__name__)
 _AXES = "xyz"
+_FORCES = ("fx", "fy", "fz")
 _REQUIRED = {
     "probe": "probe",
     **{a: f"{a}_mm" for a in _AXES},
     **{f"f{a}": f"f{a}_n" for a in _AXES},
 }
-_TIME = re.compile(r"(header_)?(time|t|timestamp|stamp|ros_time)(_(s|ms|us|ns))?")
+# Names of times, the most certain first; "T" alone is a temperature.
+_UNIT_OF_TIME = "(_(s|secs?|ms|us|ns|min))"
+_TIMES = (rf"time{_UNIT_OF_TIME}?", rf"t{_UNIT_OF_TIME}",
+          rf"(header_)?(time|timestamp|stamp|ros_time){_UNIT_OF_TIME}?", "t")  # fmt: skip
+_NUMBER = re.compile(r"[+-]?[0-9]+(\.[0-9]*)?")
 _SECONDS, _NANOSECONDS = re.compile(r"(.*_)?secs?"), re.compile(r"(.*_)?n(ano)?secs?")
 MIN_SAMPLES = 4  # of a probe
 #: Travel of a probe, over the ball's radius, below which it did not move.
@@ -141,14 +146,31 @@ class Samples:
 def read_rows(path: Path, columns: Mapping[str, str], units: Mapping[str, str]) -> Rows:
     """Read the rows of a table; see `assign` for columns and units."""
     sheet = read_sheet(path, "palpation")
-    found = sheet.assigned(columns, units, PALPATION_UNITS, _REQUIRED, "palpation")
+    found = sheet.assigned(columns, units, PALPATION_UNITS)
+    absent = [name for name in _FORCES if name not in found]
+    lateral = absent if len(absent) == 2 else []  # of a load cell of one axis
+    needed = {name: column for name, column in _REQUIRED.items() if name not in lateral}
+    sheet.assigned(columns, units, PALPATION_UNITS, needed, "palpation")
+    if lateral:
+        _log.warning("'%s' has no %s and %s: they are taken as zero.", path, *lateral)
+
+    def numbers(name: str) -> Float[np.ndarray, " s"]:
+        if name in lateral:
+            return np.zeros(len(sheet.lines))
+        column, factor = found[name]
+        values = factor * sheet.numbers(column, finite=False)
+        if name in needed and not np.isfinite(values).any():
+            raise FileError(
+                f"'{path}': the column {column!r} has no numbers; fill it in. Where one force only "
+                "was measured, remove the columns of the others."
+            )
+        return values
 
     def vectors(prefix: str) -> Float[np.ndarray, "s 3"] | None:
         names = [prefix + axis for axis in _AXES]
-        if not found.keys() >= set(names):
+        if not found.keys() | set(lateral) >= set(names):
             return None
-        parts = [found[name] for name in names]
-        return np.column_stack([f * sheet.numbers(name, finite=False) for name, f in parts])
+        return np.column_stack([numbers(name) for name in names])
 
     centres, forces = vectors(""), vectors("f")
     contacts, normals = vectors("contact_"), vectors("normal_")
@@ -157,23 +179,22 @@ def read_rows(path: Path, columns: Mapping[str, str], units: Mapping[str, str]) 
     both = contacts is not None and normals is not None
     labels = np.array([_label(text) for text in sheet.texts(found["probe"][0])])
     return Rows(
-        labels, centres, forces, sheet.lines, _time(sheet),
+        labels, centres, forces, sheet.lines, _time(sheet, labels),
         contacts if both else None, normals if both else None,
     )  # fmt: skip
 
 
 def _label(text: str) -> str:
     """Return the name of a probe: a number in its shortest form, "" where it is missing."""
-    try:
-        return "" if np.isnan(float(text)) else f"{float(text):.12g}"
-    except ValueError:
-        return text
+    if _NUMBER.fullmatch(text):
+        return f"{float(text):.12g}"
+    return "" if text.lower() == "nan" else text
 
 
-def _time(sheet: Sheet) -> Float[np.ndarray, " s"] | None:
+def _time(sheet: Sheet, labels: np.ndarray) -> Float[np.ndarray, " s"] | None:
     """Return the times of the rows, in any unit; None where they are not known for all."""
-    names = {clean(name): name for name in sheet.columns}
-    whole = [name for name in names if _TIME.fullmatch(name)]
+    names = {"" if name == "T" else clean(name): name for name in sheet.columns}
+    whole = [name for form in _TIMES for name in names if re.fullmatch(form, name)]
     parts = [[name for name in names if form.fullmatch(name)] for form in (_SECONDS, _NANOSECONDS)]
     try:
         if all(parts):
@@ -185,7 +206,8 @@ def _time(sheet: Sheet) -> Float[np.ndarray, " s"] | None:
             return None
     except FileError:  # such as a date
         return None
-    if not np.isfinite(times).all():
+    backwards = (np.diff(times) < 0.0) & (labels[1:] == labels[:-1])
+    if not np.isfinite(times).all() or (not all(parts) and whole[0] == "t" and backwards.any()):
         return None
     back = -np.minimum(np.diff(times, prepend=times[:1]), 0.0)
     # A clock that began again, unless the rows are in no order.

@@ -374,6 +374,49 @@ def test_numbers_that_begin_again_are_other_probes(
     assert {f"probe {first}", f"probe {first} (2)"} <= names
 
 
+@pytest.mark.parametrize("label", ["1_1{}", "0E{}", "1E1{}", "{}.0"])
+def test_names_of_probes_that_python_takes_as_numbers(tmp_path: Path, label: str) -> None:
+    rows = palpation()
+    path = write(tmp_path / "p.csv", rows, labels=[label.format(int(k)) for k in rows[:, 0]])
+    recording = read(path)
+    check(recording)
+    names = {press.name for press in recording.presses}
+    assert names == {f"probe {label.format(k).removesuffix('.0')}" for k in range(16)}
+
+
+OTHER_TIMES = {
+    "T": lambda rows: 23.0 + 0.1 * np.sin(1e3 * rows[:, 7]),  # a temperature
+    "t": lambda rows: 23.0 + 0.1 * np.sin(1e3 * rows[:, 7]),
+    "stamp,time_s": lambda rows: np.arange(len(rows)) * 7919 % 1000,
+}
+
+
+@pytest.mark.parametrize("names", OTHER_TIMES)
+def test_columns_that_are_no_time_do_not_order_the_rows(tmp_path: Path, names: str) -> None:
+    rows = palpation(FULL, lifted=0.6)
+    rows = np.column_stack([rows[:, :7], OTHER_TIMES[names](rows), rows[:, 7]])
+    check(read(write(tmp_path / "p.csv", rows, (*NAMES, *names.split(",")))))
+
+
+def test_a_time_t_orders_the_rows_where_it_rises_within_probes(tmp_path: Path) -> None:
+    rows = palpation(FULL, lifted=0.6)
+    rows[:, 7] -= np.repeat(rows[:: len(FULL), 7], len(FULL))
+    mixed = np.arange(len(rows)).reshape(16, -1).T.ravel()  # the probes by turns
+    check(read(write(tmp_path / "p.csv", rows[mixed], (*NAMES, "t"))))
+
+
+def test_one_measured_force_is_enough(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    rows = palpation()
+    cut = np.delete(rows, [4, 5], axis=1)
+    check(read(write(tmp_path / "p.csv", cut, [*NAMES[:4], "fz_n"])))
+    assert "has no fx and fy: they are taken as zero" in caplog.text
+    with pytest.raises(TactorchError, match="lacks the column 'fy_n'"):
+        read(write(tmp_path / "p.csv", np.delete(rows, 5, axis=1), np.delete(NAMES, 5)))
+    rows[:, 5] = np.nan
+    with pytest.raises(TactorchError, match="the column 'fy_n' has no numbers"):
+        read(write(tmp_path / "p.csv", rows))
+
+
 def _turned(rows: Rows, order: list[int], signs: list[float]) -> Rows:
     turned = rows.copy()
     for begin in (1, 4):
