@@ -101,6 +101,27 @@ def test_what_is_left_out_is_counted(tmp_path: Path, caplog: pytest.LogCaptureFi
     assert "% less work (hysteresis)" in caplog.text
 
 
+@pytest.mark.parametrize("share", [0.01, 0.03])
+@pytest.mark.parametrize("height_n", [0.3, 3.0])
+def test_spikes_of_the_force_are_left_out(tmp_path: Path, share: float, height_n: float) -> None:
+    rows = palpation()
+    spikes = np.random.default_rng(1).random(len(rows)) < share
+    rows[spikes, 6] += height_n
+    recording = read(write(tmp_path / "p.csv", rows))
+    check(recording)
+    count = recording.provenance["rows_left_out"]["far from the others of their probe"]
+    assert count == pytest.approx(spikes.sum(), abs=1)
+
+
+@pytest.mark.parametrize("jumps", [False, True])
+def test_bends_and_jumps_of_the_force_are_no_spikes(tmp_path: Path, jumps: bool) -> None:
+    rows = palpation(modulus=20.0 * MODULUS)
+    if jumps:
+        rows[rows[:, 3] < HEIGHT + RADIUS - 0.6, 6] += 1.0
+    recording = read(write(tmp_path / "p.csv", rows))
+    assert "far from the others of their probe" not in recording.provenance["rows_left_out"]
+
+
 @pytest.mark.parametrize("jitter_mm", [0.005, 0.02, 0.05])
 def test_positions_may_have_noise(tmp_path: Path, jitter_mm: float) -> None:
     depths = np.concatenate([path_of(3.0, step=0.02), np.arange(DEPTH, -3.0, -0.02)])
