@@ -581,17 +581,37 @@ TEXTS: dict[str, Callable[[list[str]], list[str]]] = {
         lambda t: f"{1_700_000_000 + int(t)},{int(1e9 * (t % 1))}",
     ),
     "empty cells at the end": lambda lines: [f"{line}," for line in lines],
+    "lines above": lambda lines: ["Robot: UR5e", "Range, 0, 10", "", *lines],
+    "cells above": lambda lines: ["Robot,UR5e,,,,,,", "Serial,7,,,,,,", ",,,,,,,", *lines],
+    "lines above and units": lambda lines: ["Robot UR5e, cell 3", *_units_below(lines)],
+    "comments of other languages": lambda lines: ["% a, b", "// c", *lines[:9], "%", *lines[9:]],
+    "delimiter for Excel": lambda lines: ["sep=;", *(line.replace(",", ";") for line in lines)],
+    "numbers of rows by R": lambda lines: [
+        " ".join(f'"{name}"' for name in lines[0].split(",")),
+        *(f'"{i}" {line.replace(",", " ")}' for i, line in enumerate(lines[1:], start=1)),
+    ],
+    "probes named by #": lambda lines: ["# log", lines[0], *(f"#{line}" for line in lines[1:])],
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("text", TEXTS)
-def test_tables_of_loggers_are_read(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_tables_of_loggers_are_read(tmp_path: Path, text: str, encoding: str) -> None:
     lines = write(tmp_path / "p.csv", palpation(FULL, lifted=0.6), TIMED).read_text().splitlines()
     path = tmp_path / "q.csv"
-    path.write_text("\n".join(TEXTS[text](lines)), encoding="utf-8")
+    content = "\n".join(TEXTS[text](lines))
+    path.write_text(content.lstrip("\ufeff" * (encoding == "utf-16")), encoding=encoding)
     recording = read(path)
     check(recording)
     assert recording.provenance["rows"] == len(lines) - 1
+
+
+def test_spaces_in_names_are_reported_with_the_line_of_names(tmp_path: Path) -> None:
+    lines = write(tmp_path / "p.csv", palpation(side=1)).read_text().replace(",", " ").splitlines()
+    rows = ["# log", lines[0], *(f"P {line}" for line in lines[1:])]
+    (tmp_path / "p.csv").write_text("\n".join(rows))
+    with pytest.raises(TactorchError, match=r"line 3 has 8 cells.*\(line 2\) 7; .*spaces in names"):
+        read(tmp_path / "p.csv")
 
 
 def test_rows_without_numbers_are_counted(tmp_path: Path) -> None:
