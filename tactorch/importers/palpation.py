@@ -214,7 +214,7 @@ class PalpationSettings(Options):
         try:
             height = HeightField(contacts.points_mm)
         except MeshError as error:
-            raise MeshError(f"{error} Or give the object as format.mesh.") from error
+            raise MeshError(f"'{source}': {error} Or give the object as format.mesh.") from error
         if height.is_plane:
             _log.warning(
                 "The surface of the object is taken as a plane through its %d contacts, with a "

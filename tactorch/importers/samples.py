@@ -378,18 +378,31 @@ class _Strokes:
         """Return which probes can be used, and name the others."""
         few = np.array([len(rows) < MIN_SAMPLES for rows in self.pressed])
         short, up = MIN_TRAVEL * self.radius, self.normals[:, 2] > _MIN_UP
+        remedies = {
+            (too_few := f"fewer than {MIN_SAMPLES} samples while the ball is pressed in"):
+            "record more, and give all rows of a place the same number of the probe",
+            (too_short := f"a travel of less than {short:.2g} mm"):
+            "check the unit of z, which may be another than that of x and y, and the radius",
+        }  # fmt: skip
         faults = {
-            f"fewer than {MIN_SAMPLES} samples while the ball is pressed in": few,
-            f"a travel of less than {short:.2g} mm": self.travel < short,
+            too_few: few,
+            too_short: self.travel < short,
             "no unit normal": ~self.unit,
             "a normal that does not point upwards (z)": ~up,
         }
-        usable = np.ones(len(self.names), dtype=bool)
+        usable, counts = np.ones(len(self.names), dtype=bool), {}
         for reason, faulty in faults.items():
             name_probes(path, self.names[faulty & usable], reason)
+            counts[reason] = int((faulty & usable).sum())
             usable &= ~faulty
         if not usable.any():
-            raise _wrong_axis(path, np.median(self.normals, axis=0))
+            most = max(counts, key=counts.__getitem__)
+            if most not in remedies:
+                raise _wrong_axis(path, np.median(self.normals, axis=0))
+            raise FileError(
+                f"'{path}' has no probe that can be used: {counts[most]} of {len(usable)} have "
+                f"{most}; {remedies[most]}."
+            )
         unordered = usable & ~np.array([stroke.ordered for stroke in self.strokes])
         if unordered.any():
             self._check_order(path, np.flatnonzero(unordered))
@@ -418,11 +431,13 @@ def _lower_half(centres: Float[np.ndarray, "p 3"]) -> Bool[np.ndarray, " p"]:
 
 def _wrong_axis(path: Path, outward: Float[np.ndarray, "3"]) -> FileError:
     axis = int(np.abs(outward).argmax())
+    up = f"{_AXES[axis]}{'+' if outward[axis] > 0 else '-'}"
     return FileError(
         f"'{path}' has no probe that can be used; see the warnings. Normals must point out of the "
-        f"object, with z upwards; they are about ({', '.join(f'{x:.2g}' for x in outward)}). If "
-        f"another axis points out of the object, give it, as format.up={_AXES[axis]}"
-        f"{'+' if outward[axis] > 0 else '-'}."
+        f"object, with z upwards; they are about ({', '.join(f'{x:.2g}' for x in outward)}). Balls "
+        "that slide along the surface cannot be used."
+        + f" If another axis points out of the object, give it, as format.up={up}."
+        * (up != "z+")
     )
 
 

@@ -540,6 +540,48 @@ def test_nine_probes_have_a_plane(tmp_path: Path, caplog: pytest.LogCaptureFixtu
     assert "format.mesh" in caplog.text
 
 
+def _one_row_each(rows: Rows) -> Rows:
+    rows[:, 0] = np.arange(len(rows))
+    return rows
+
+
+def _at(*places: tuple[float, float]) -> Callable[[Rows], Rows]:
+    def moved(rows: Rows) -> Rows:
+        rows = rows[rows[:, 0] < len(places)]
+        rows[:, 1:3] = np.array(places)[rows[:, 0].astype(int)]
+        return rows
+
+    return moved
+
+
+NO_RESULT: dict[str, tuple[Callable[[Rows], Rows], str]] = {
+    "few samples": (lambda rows: rows[::18], "16 of 16 have fewer than 4 samples .*record more"),
+    "a number for each row": (_one_row_each, "816 of 816 have fewer .*same number of the probe"),
+    "z in m": (
+        lambda rows: rows * [1, 1, 1, 1e-3, 1, 1, 1, 1],
+        "16 of 16 have a travel of less than 0.15 mm; check the unit of z",
+    ),
+    "sliding": (
+        lambda rows: np.column_stack(
+            [rows[:, :2], rows[:, 2] + rows[:, 3], np.full((len(rows), 5), 0.1)]
+        ),
+        "Balls that slide along the surface cannot be used",
+    ),
+    "one place": (_at(*[(0.0, 0.0)] * 12), "12 probes are within 0 mm.* all are at one place"),
+    "one probe": (_at((0.0, 0.0)), "by 1 points is not known"),
+    "probes in line": (_at((0.0, 0.0), (8.0, 0.0), (16.0, 0.0)), r"in line.*format\.mesh"),
+}
+
+
+@pytest.mark.parametrize("given", NO_RESULT)
+def test_the_reason_that_leaves_no_probe_is_named(tmp_path: Path, given: str) -> None:
+    spoil, message = NO_RESULT[given]
+    path = write(tmp_path / "p.csv", spoil(palpation()))
+    with pytest.raises(TactorchError, match=rf"p\.csv'.*{message}") as error:
+        read(path)
+    assert "format.up=z+" not in str(error.value)
+
+
 # --- Text ------------------------------------------------------------------------------------
 
 
