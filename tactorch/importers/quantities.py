@@ -89,8 +89,7 @@ def assign(
                 f"format.columns: there is no column {column!r} for {quantity}; the columns are "
                 f"{', '.join(names)}."
             )
-        factor = 1.0 if quantity in units else _suffix(quantity, column, known[quantity])
-        found[quantity] = (column, factor)
+        found[quantity] = (column, _suffix(quantity, column, known[quantity], units))
     taken, meanings = set(columns.values()), _meanings(known)
     for name in names:
         match = None if name in taken else meanings.get(clean(name))
@@ -105,9 +104,7 @@ def assign(
     for name in names:
         quantity, unit = _parts(name)
         if unit and quantity in known and quantity not in found:
-            if known[quantity] and quantity not in units:
-                raise _unknown_unit(quantity, name, unit, known[quantity])
-            found[quantity] = (name, 1.0)  # without units, such as "Probe [-]", or of a stated one
+            found[quantity] = (name, _suffix(quantity, name, known[quantity], units))
     return found | {
         quantity: (found[quantity][0], _factor(quantity, unit, known[quantity]))
         for quantity, unit in units.items()
@@ -142,21 +139,22 @@ def _parts(name: str) -> tuple[str, str]:
     return (stem, unit) if unit in _OTHERS else (clean(name), "")
 
 
-def _suffix(quantity: str, column: str, units: Mapping[str, float]) -> float:
-    """Return the factor of the unit at the end of a name; 1 where there is none."""
-    text, unit = clean(column), _parts(column)[1]
-    matches = [unit for unit in units if text.endswith(f"_{unit}")]
-    if units and unit and not matches:
-        raise _unknown_unit(quantity, column, unit, units)
+def _suffix(
+    quantity: str, column: str, units: Mapping[str, float], stated: Mapping[str, str]
+) -> float:
+    """Return the factor of the unit at the end of a name; 1 where there is none, or one is stated.
+
+    Quantities without units may have anything there, such as "Probe [-]".
+    """
+    matches = [unit for unit in units if clean(column).endswith(f"_{unit}")]
+    unit = _parts(column)[1]
+    if units and unit and not matches and quantity not in stated:
+        raise ConfigError(
+            f"The column {column!r} has the unit {unit!r}, which is none of {', '.join(units)}; "
+            "convert its numbers, and state their unit, as in "
+            f'"format.units={{{quantity}: {next(iter(units))}}}".'
+        )
     return units[max(matches, key=len)] if matches else 1.0
-
-
-def _unknown_unit(quantity: str, column: str, unit: str, units: Mapping[str, float]) -> ConfigError:
-    first = next(iter(units))
-    return ConfigError(
-        f"The column {column!r} has the unit {unit!r}, which is none of {', '.join(units)}; convert"
-        f' its numbers, and state their unit, as in "format.units={{{quantity}: {first}}}".'
-    )
 
 
 def _factor(quantity: str, unit: str, units: Mapping[str, float]) -> float:

@@ -13,17 +13,10 @@ from jaxtyping import Bool, Float, Int
 from tactorch.errors import FileError
 from tactorch.importers.quantities import PALPATION_UNITS, clean
 from tactorch.importers.sheets import Sheet, read_sheet
-from tactorch.importers.strokes import (
-    find_limited,
-    find_mixed,
-    find_places,
-    find_stroke,
-    lost_work,
-)
+from tactorch.importers.strokes import find_mixed, find_places, find_stroke, is_limited, lost_work
 
 _log = logging.getLogger(__name__)
 _AXES = "xyz"
-_FORCES = ("fx", "fy", "fz")
 _REQUIRED = {
     "probe": "probe",
     **{a: f"{a}_mm" for a in _AXES},
@@ -147,35 +140,33 @@ def read_rows(path: Path, columns: Mapping[str, str], units: Mapping[str, str]) 
     """Read the rows of a table; see `assign` for columns and units."""
     sheet = read_sheet(path, "palpation")
     found = sheet.assigned(columns, units, PALPATION_UNITS)
-    absent = [name for name in _FORCES if name not in found]
+    absent = [f"f{axis}" for axis in _AXES if f"f{axis}" not in found]
     lateral = absent if len(absent) == 2 else []  # of a load cell of one axis
     needed = {name: column for name, column in _REQUIRED.items() if name not in lateral}
     sheet.assigned(columns, units, PALPATION_UNITS, needed, "palpation")
     if lateral:
         _log.warning("'%s' has no %s and %s: they are taken as zero.", path, *lateral)
-
-    def numbers(name: str) -> Float[np.ndarray, " s"]:
-        if name in lateral:
-            return np.zeros(len(sheet.lines))
-        column, factor = found[name]
-        values = factor * sheet.numbers(column, finite=False)
-        if name in needed and not np.isfinite(values).any():
-            raise FileError(
-                f"'{path}': the column {column!r} has no numbers; fill it in. Where one force only "
-                "was measured, remove the columns of the others."
-            )
-        return values
+        (measured,) = found.keys() & {f"f{axis}" for axis in _AXES}
+        found |= {name: (found[measured][0], 0.0) for name in lateral}
 
     def vectors(prefix: str) -> Float[np.ndarray, "s 3"] | None:
         names = [prefix + axis for axis in _AXES]
-        if not found.keys() | set(lateral) >= set(names):
+        if not found.keys() >= set(names):
             return None
-        return np.column_stack([numbers(name) for name in names])
+        parts = [found[name] for name in names]
+        return np.column_stack([f * sheet.numbers(name, finite=False) for name, f in parts])
 
     centres, forces = vectors(""), vectors("f")
     contacts, normals = vectors("contact_"), vectors("normal_")
     assert centres is not None
     assert forces is not None
+    known = np.isfinite(np.column_stack([centres, forces])).any(axis=0)
+    if not known.all():
+        column = found[list(_REQUIRED)[1 + known.argmin()]][0]
+        raise FileError(
+            f"'{path}': the column {column!r} has no numbers; fill it in. Where one force only was "
+            "measured, remove the columns of the others."
+        )
     both = contacts is not None and normals is not None
     labels = np.array([_label(text) for text in sheet.texts(found["probe"][0])])
     return Rows(
@@ -291,19 +282,18 @@ class _Strokes:
 
     def _leave_limited(self, outward: Float[np.ndarray, "probes 3"], path: Path) -> int:
         """Leave out the rows of the loading branches that are at the limit of the force sensor."""
-        parts = zip(self.pressed, outward, np.abs(outward).argmax(axis=1), strict=True)
+        before = sum(map(len, self.pressed))
         branches = [
             (-self.rows.centres_mm[p] @ n, np.sign(n[axis]) * self.rows.forces_n[p, axis])
-            for p, n, axis in parts
+            for p, n, axis in zip(
+                self.pressed, outward, np.abs(outward).argmax(axis=1), strict=True
+            )
         ]
-        tops = [force.max() for _, force in branches]
-        limits = {tops[k] for k, branch in enumerate(branches) if find_limited(*branch)}
-        limited = [k for k, top in enumerate(tops) if top in limits]
-        count = 0
+        limits = {force.max() for way, force in branches if is_limited(way, force)}
+        limited = [k for k, (_, f) in enumerate(branches) if f.max() in limits and np.ptp(f) > 0.0]
         for k in limited:
-            below = branches[k][1] < tops[k]
-            count += int((~below).sum())
-            self.pressed[k] = self.pressed[k][below]
+            self.pressed[k] = self.pressed[k][branches[k][1] < branches[k][1].max()]
+        count = before - sum(map(len, self.pressed))
         if limited:
             _log.warning(
                 "'%s': %d samples of %d probes are left out, as their force is at the limit of the "
@@ -346,9 +336,8 @@ class _Strokes:
         lifted = [stroke.lifted for stroke in self.strokes]
         moved, pressed = sum(stroke.moved for stroke in self.strokes), sum(map(len, self.pressed))
         left_out["before the approach"] = moved
-        left_out["at the limit of the force sensor"] = self.limited
-        lifts = len(self.rows.labels) - moved - pressed - self.limited
-        left_out["lifted or pressed again"] = lifts
+        left_out["at the limit of the force sensor"] = limited = self.limited
+        left_out["lifted or pressed again"] = len(self.rows.labels) - moved - pressed - limited
         branches = [
             (self._branch(k, self.pressed[k]), self._branch(k, self.parts[k][lifted[k]]))
             for k in range(len(self.names))
@@ -378,15 +367,9 @@ class _Strokes:
         """Return which probes can be used, and name the others."""
         few = np.array([len(rows) < MIN_SAMPLES for rows in self.pressed])
         short, up = MIN_TRAVEL * self.radius, self.normals[:, 2] > _MIN_UP
-        remedies = {
-            (too_few := f"fewer than {MIN_SAMPLES} samples while the ball is pressed in"):
-            "record more, and give all rows of a place the same number of the probe",
-            (too_short := f"a travel of less than {short:.2g} mm"):
-            "check the unit of z, which may be another than that of x and y, and the radius",
-        }  # fmt: skip
         faults = {
-            too_few: few,
-            too_short: self.travel < short,
+            f"fewer than {MIN_SAMPLES} samples while the ball is pressed in": few,
+            f"a travel of less than {short:.2g} mm": self.travel < short,
             "no unit normal": ~self.unit,
             "a normal that does not point upwards (z)": ~up,
         }
@@ -397,11 +380,12 @@ class _Strokes:
             usable &= ~faulty
         if not usable.any():
             most = max(counts, key=counts.__getitem__)
-            if most not in remedies:
+            if "normal" in most:
                 raise _wrong_axis(path, np.median(self.normals, axis=0))
             raise FileError(
                 f"'{path}' has no probe that can be used: {counts[most]} of {len(usable)} have "
-                f"{most}; {remedies[most]}."
+                f"{most}. All rows of a place have one number of the probe; check it, and the unit "
+                "of each of x, y and z."
             )
         unordered = usable & ~np.array([stroke.ordered for stroke in self.strokes])
         if unordered.any():

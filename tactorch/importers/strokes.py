@@ -107,7 +107,7 @@ def _begin(
     return int(off[-1]) + 1 if len(off) else 0
 
 
-def find_limited(advance: Float[np.ndarray, " p"], force: Float[np.ndarray, " p"]) -> bool:
+def is_limited(advance: Float[np.ndarray, " p"], force: Float[np.ndarray, " p"]) -> bool:
     """Return whether a loading branch ends at the largest force that the sensor measures.
 
     There the sensor repeats one force while the ball advances. Slow and coarse sensors repeat

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tactorch.errors import TactorchError
 from tactorch.fem.contact.pressures import ball_force
 from tactorch.importers import import_palpation
-from tactorch.importers.strokes import find_limited, find_mixed, find_stroke, lost_work
+from tactorch.importers.strokes import find_mixed, find_stroke, is_limited, lost_work
 from tactorch.mesh import TetMesh, box_mesh, write_mesh
 from tactorch.recording import Recording
 
@@ -236,11 +236,11 @@ def test_coarse_and_slow_forces_and_dwells_are_not_at_the_limit(
         rows[:, 6] - PLANE * ball_force(depth, RADIUS)
     )
     coarse = resolution * np.round(force / resolution)
-    assert not find_limited(depth, coarse)
+    assert not is_limited(depth, coarse)
     slow = force[np.arange(len(force)) // 10 * 10]
-    assert not find_limited(depth[:-50], slow[:-50])
-    assert not find_limited(depth, resolution * np.round(noise * rows[:, 4] / resolution))
-    assert find_limited(depth, np.minimum(coarse, 0.1)) == (resolution < 0.1 / 4.0)
+    assert not is_limited(depth[:-50], slow[:-50])
+    assert not is_limited(depth, resolution * np.round(noise * rows[:, 4] / resolution))
+    assert is_limited(depth, np.minimum(coarse, 0.1)) == (resolution < 0.1 / 4.0)
 
 
 # --- Units -----------------------------------------------------------------------------------
@@ -555,11 +555,14 @@ def _at(*places: tuple[float, float]) -> Callable[[Rows], Rows]:
 
 
 NO_RESULT: dict[str, tuple[Callable[[Rows], Rows], str]] = {
-    "few samples": (lambda rows: rows[::18], "16 of 16 have fewer than 4 samples .*record more"),
-    "a number for each row": (_one_row_each, "816 of 816 have fewer .*same number of the probe"),
+    "few samples": (
+        lambda rows: rows[::18],
+        "16 of 16 have fewer than 4 samples .*one number of the probe",
+    ),
+    "a number for each row": (_one_row_each, "816 of 816 have fewer .*one number of the probe"),
     "z in m": (
         lambda rows: rows * [1, 1, 1, 1e-3, 1, 1, 1, 1],
-        "16 of 16 have a travel of less than 0.15 mm; check the unit of z",
+        "16 of 16 have a travel of less than 0.15 mm\\. .*unit of each of x, y and z",
     ),
     "sliding": (
         lambda rows: np.column_stack(
