@@ -13,7 +13,14 @@ from jaxtyping import Bool, Float, Int
 from tactorch.errors import FileError
 from tactorch.importers.quantities import PALPATION_UNITS, clean
 from tactorch.importers.sheets import Sheet, read_sheet
-from tactorch.importers.strokes import find_mixed, find_places, find_stroke, is_limited, lost_work
+from tactorch.importers.strokes import (
+    find_mixed,
+    find_places,
+    find_steps,
+    find_stroke,
+    is_limited,
+    lost_work,
+)
 
 _log = logging.getLogger(__name__)
 _AXES = "xyz"
@@ -33,6 +40,7 @@ MIN_SAMPLES = 4  # of a probe
 MIN_TRAVEL = 0.05
 _MAX_BACK = 0.01  # of the rows, before which a clock began again
 _STILL = 0.01  # motion that is none, over the ball's radius
+_RELAXED = 0.1  # fall of the force while balls are held, over its rise, from which it matters
 _APART = 0.5  # distance of places along the surface, over the ball's radius
 _UNIT = 0.2  # of the length of a unit normal, which rounding and averaging change
 _MIN_UP = 0.05  # component of a normal along z, the axis of the height of the surface
@@ -271,7 +279,7 @@ class _Strokes:
             for part, outward in zip(self.parts, known, strict=True)
         ]
         self.pressed = [p[s.pressed] for p, s in zip(self.parts, self.strokes, strict=True)]
-        self.limited = self._leave_limited(known, path)
+        self.limited, self.held = self._leave_limited(known, path), self._leave_held(known, path)
         centres = [rows.centres_mm[pressed] for pressed in self.pressed]
         self.origins, last = (np.array([c[i] for c in centres]) for i in (0, -1))
         self.travel = np.linalg.norm(last - self.origins, axis=1)
@@ -279,6 +287,30 @@ class _Strokes:
         self.normals = normals / np.maximum(lengths, 1e-300)[:, None]
         if rows.normals is None:
             self._take_motion(centres, last)
+
+    def _branches(self, outward: Float[np.ndarray, "probes 3"]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return advances (mm) and forces along the axis of the sensor nearest to the normal."""
+        return [
+            (-self.rows.centres_mm[p] @ n, np.sign(n[axis]) * self.rows.forces_n[p, axis])
+            for p, n, axis in zip(
+                self.pressed, outward, np.abs(outward).argmax(axis=1), strict=True
+            )
+        ]
+
+    def _leave_held(self, outward: Float[np.ndarray, "probes 3"], path: Path) -> int:
+        """Leave out the rows in which balls are held at several depths, if forces fall there."""
+        steps = [find_steps(*pair, _STILL * self.radius) for pair in self._branches(outward)]
+        fall, rise = sum(step[1] for step in steps), sum(step[2] for step in steps)
+        if not 0.0 < _RELAXED * rise < fall or not all(s.ordered for s in self.strokes):
+            return 0
+        before = sum(map(len, self.pressed))
+        self.pressed = [p[rows] for p, (rows, *_) in zip(self.pressed, steps, strict=True)]
+        count = before - sum(map(len, self.pressed))
+        _log.warning(
+            "'%s': forces fall by %.0f %% of their rise while balls are held at a depth; these %d "
+            "samples are left out.", path, 100.0 * fall / rise, count,
+        )  # fmt: skip
+        return count
 
     def _leave_limited(self, outward: Float[np.ndarray, "probes 3"], path: Path) -> int:
         """Leave out the rows of the loading branches that are at the limit of the force sensor."""
@@ -336,8 +368,10 @@ class _Strokes:
         lifted = [stroke.lifted for stroke in self.strokes]
         moved, pressed = sum(stroke.moved for stroke in self.strokes), sum(map(len, self.pressed))
         left_out["before the approach"] = moved
-        left_out["at the limit of the force sensor"] = limited = self.limited
-        left_out["lifted or pressed again"] = len(self.rows.labels) - moved - pressed - limited
+        left_out["at the limit of the force sensor"] = self.limited
+        left_out["held while the force falls"] = self.held
+        others = moved + pressed + self.limited + self.held
+        left_out["lifted or pressed again"] = len(self.rows.labels) - others
         branches = [
             (self._branch(k, self.pressed[k]), self._branch(k, self.parts[k][lifted[k]]))
             for k in range(len(self.names))

@@ -127,6 +127,22 @@ def is_limited(advance: Float[np.ndarray, " p"], force: Float[np.ndarray, " p"])
     return bool(advance[last] > advance[first] and rise > _RISE * max(steps, noise))
 
 
+def find_steps(
+    advance: Float[np.ndarray, " p"], force: Float[np.ndarray, " p"], still_mm: float
+) -> tuple[list[int], float, float]:
+    """Return the rows of a loading branch that are deeper by `still_mm` than the one before.
+
+    Also by how much the force falls from each of these to the last row before the next, and by how
+    much it rises from there to the next, in total.
+    """
+    deepest, rows = np.maximum.accumulate(advance), [0]
+    while (row := int(np.searchsorted(deepest, deepest[rows[-1]] + still_mm))) < len(advance):
+        rows.append(row)
+    last = np.array([*rows[1:], len(advance)]) - 1
+    fall = float((force[rows] - force[last]).sum())
+    return rows, fall, float(force[last[-1]] - force[0]) + fall
+
+
 def find_mixed(probes: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
     """Return the scatter of large forces at equal depth, over them; 0 where it is that of small.
 

@@ -243,6 +243,22 @@ def test_coarse_and_slow_forces_and_dwells_are_not_at_the_limit(
     assert is_limited(depth, np.minimum(coarse, 0.1)) == (resolution < 0.1 / 4.0)
 
 
+@pytest.mark.parametrize("jitter_mm", [0.0, 0.003])
+@pytest.mark.parametrize("rate", [0.2, -0.2])
+def test_samples_of_held_balls_are_left_out_where_the_force_falls(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, jitter_mm: float, rate: float
+) -> None:
+    rows = palpation(np.repeat(path_of(step=0.1), 20))
+    held = 1.0 - 0.35 * (1.0 - np.exp(-rate * (np.arange(len(rows)) % 20)))
+    rows[:, 6] *= held if rate > 0.0 else 1.0
+    rows[:, 3] += jitter_mm * np.random.default_rng(2).standard_normal(len(rows))
+    recording = read(write(tmp_path / "p.csv", rows))
+    check(recording, tolerance=0.12)
+    count = recording.provenance["rows_left_out"].get("held while the force falls", 0)
+    assert count == (16 * 25 * 19 if rate > 0.0 else 0)
+    assert ("of their rise while balls are held at a depth" in caplog.text) == (rate > 0.0)
+
+
 # --- Units -----------------------------------------------------------------------------------
 
 FORCES = ("fx", "fy", "fz")
