@@ -288,14 +288,13 @@ class _Strokes:
         if rows.normals is None:
             self._take_motion(centres, last)
 
-    def _branches(self, outward: Float[np.ndarray, "probes 3"]) -> list[tuple[np.ndarray, np.ndarray]]:
+    def _branches(
+        self, outward: Float[np.ndarray, "probes 3"]
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return advances (mm) and forces along the axis of the sensor nearest to the normal."""
-        return [
-            (-self.rows.centres_mm[p] @ n, np.sign(n[axis]) * self.rows.forces_n[p, axis])
-            for p, n, axis in zip(
-                self.pressed, outward, np.abs(outward).argmax(axis=1), strict=True
-            )
-        ]
+        parts = zip(self.pressed, outward, np.abs(outward).argmax(axis=1), strict=True)
+        centres, forces = self.rows.centres_mm, self.rows.forces_n
+        return [(-centres[p] @ n, np.sign(n[axis]) * forces[p, axis]) for p, n, axis in parts]
 
     def _leave_held(self, outward: Float[np.ndarray, "probes 3"], path: Path) -> int:
         """Leave out the rows in which balls are held at several depths, if forces fall there."""
@@ -314,13 +313,7 @@ class _Strokes:
 
     def _leave_limited(self, outward: Float[np.ndarray, "probes 3"], path: Path) -> int:
         """Leave out the rows of the loading branches that are at the limit of the force sensor."""
-        before = sum(map(len, self.pressed))
-        branches = [
-            (-self.rows.centres_mm[p] @ n, np.sign(n[axis]) * self.rows.forces_n[p, axis])
-            for p, n, axis in zip(
-                self.pressed, outward, np.abs(outward).argmax(axis=1), strict=True
-            )
-        ]
+        before, branches = sum(map(len, self.pressed)), self._branches(outward)
         limits = {force.max() for way, force in branches if is_limited(way, force)}
         limited = [k for k, (_, f) in enumerate(branches) if f.max() in limits and np.ptp(f) > 0.0]
         for k in limited:
