@@ -26,7 +26,8 @@ _COMMON = 0.3  # deviation of the depth of the first sample among probes, over t
 # of this force among probes, over the force.
 _CONTACT_NOISE, _THRESHOLD = 5.0, 0.05
 _OUTLIER = 12.0  # distance of a sample from the others of its probe, over theirs
-_MAX_OUTLIERS = 2  # of a probe
+_MAX_OUTLIERS = 2  # of a probe, besides single samples far from those beside them
+_BESIDE = range(1, 6)  # distances of the samples before and after one that predict its force
 _NEIGHBOURS = 16  # contacts, with their own, that tell whether the surface is flat
 
 
@@ -230,10 +231,10 @@ def _sums(samples: Samples, depths: Float[np.ndarray, " probes"]) -> Float[np.nd
 
 
 def _without_outliers(samples: Samples, noise: float, source: str) -> Samples:
-    """Leave out samples that are far from a parabola through the others of their probe."""
-    far = np.zeros(len(samples.probe), dtype=bool)
+    """Leave out samples far from those beside them, or from a parabola through their probe's."""
+    far = _spikes(samples, noise)
     for k in range(len(samples.names)):
-        rows = np.flatnonzero(samples.probe == k)
+        rows = np.flatnonzero((samples.probe == k) & ~far)
         for _ in range(_MAX_OUTLIERS):
             if len(rows) <= MIN_SAMPLES:
                 break
@@ -250,6 +251,34 @@ def _without_outliers(samples: Samples, noise: float, source: str) -> Samples:
             source, far.sum(), ", ".join(map(str, named[:NAMED])),
         )  # fmt: skip
     return samples.keep(~far, "far from the others of their probe")
+
+
+def _spikes(samples: Samples, noise: float) -> Bool[np.ndarray, " s"]:
+    """Return which samples are far from those before and after them, whatever their share.
+
+    The distance is that from the median of five lines through others, which two spikes do
+    not change, over that of the samples beside it, which a bend of the force has, too.
+    """
+    order = np.lexsort((samples.advance_mm, samples.probe))
+    reach = 2 * max(_BESIDE)
+    force = np.pad(samples.force_n[order], reach, constant_values=np.nan)
+    probe = np.pad(samples.probe[order], reach, constant_values=-1)
+
+    def beside(values: np.ndarray, k: int) -> np.ndarray:
+        return np.where(np.roll(probe, k) == probe, np.roll(values, k), np.nan)
+
+    def line(k: int) -> np.ndarray:
+        before, after = beside(force, k), beside(force, -k)
+        ends = [2.0 * before - beside(force, 2 * k), 2.0 * after - beside(force, -2 * k)]
+        end = np.where(np.isnan(after), *ends)
+        return np.where(np.isnan(before + after), end, 0.5 * (before + after))
+
+    apart = np.abs(force - np.median([line(k) for k in _BESIDE], axis=0))
+    around = np.sort([beside(apart, k) for k in (-2, -1, 1, 2)], axis=0)
+    usual = np.maximum(np.where(np.isnan(around[2]), around[1], around[2]), noise)
+    far = np.zeros(len(order), dtype=bool)
+    far[order] = (apart > _OUTLIER * usual)[reach:-reach]
+    return far
 
 
 def _distances(

@@ -50,7 +50,12 @@ def check_rows(source: str, rows: Rows, radius_mm: float | None, remedy: Remedy)
     probes = len(np.unique(rows.labels))
     if radius_mm and probes >= _MIN_PROBES and extent < 2.0 * radius_mm:
         what = f"{probes} probes are within {extent:.2g} mm, less than the diameter of the ball"
-        raise _refusal(source, what, "cm", remedy)
+        if 10.0 * extent > radius_mm:
+            raise _refusal(source, what, "cm", remedy)
+        raise FileError(
+            f"'{source}': {what}: all are at one place. The ball has to be pressed in at several "
+            "places; check the columns of x and y."
+        )
 
 
 def check_contacts(

@@ -214,7 +214,7 @@ class PalpationSettings(Options):
         try:
             height = HeightField(contacts.points_mm)
         except MeshError as error:
-            raise MeshError(f"{error} Or give the object as format.mesh.") from error
+            raise MeshError(f"'{source}': {error} Or give the object as format.mesh.") from error
         if height.is_plane:
             _log.warning(
                 "The surface of the object is taken as a plane through its %d contacts, with a "
@@ -283,7 +283,8 @@ class PalpationOptions(PalpationSettings):
         if what == "position" and rows.contacts_mm is not None:
             prefixes.append("contact_")
         units = ", ".join(f"{prefix}{axis}: {unit}" for prefix in prefixes for axis in "xyz")
-        return f'give "format.units={{{units}}}"'
+        inches = " (or in instead of cm)" if unit == "cm" else ""
+        return f'give "format.units={{{units}}}"{inches}'
 
 
 def import_palpation(path: str | Path, **options: Any) -> Recording:

@@ -5,14 +5,19 @@ quantities are in mm, mm2, N, MPa and N/mm.
 """
 
 import re
+import unicodedata
 from collections.abc import Mapping
 
 from tactorch.errors import ConfigError
 
 _AXES = "xyz"
-LENGTHS = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3}
+LENGTHS = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "in": 25.4, "inch": 25.4}
 _AREAS = {"mm2": 1.0, "cm2": 100.0, "m2": 1e6}
-FORCES = {"n": 1.0, "mn": 1e-3, "kn": 1e3}
+_GRAM = 9.80665e-3  # weight, N
+FORCES = {
+    **{"n": 1.0, "mn": 1e-3, "kn": 1e3, "g": _GRAM, "gf": _GRAM},
+    **{"kg": 1e3 * _GRAM, "kgf": 1e3 * _GRAM, "lbf": 453.59237 * _GRAM},
+}
 _STRESSES = {"mpa": 1.0, "kpa": 1e-3, "pa": 1e-6}
 _STIFFNESSES = {"n_per_mm": 1.0, "n_per_m": 1e-3}
 _NONE: dict[str, float] = {}
@@ -43,6 +48,9 @@ PALPATION_UNITS: dict[str, dict[str, float]] = {
 }
 #: Suffixes that state a unit.
 SUFFIXES = {unit for units in UNITS.values() for unit in units} | {"s", "ms", "us", "ns"}
+# Units that are not read, but may end the name of a column.
+_OTHERS = {"ft", "mil", "nm", "dyn", "lb", "oz", "ozf", "kp", "psi", "bar"}
+_BRACKET = re.compile(r"(.*?)\s*[\[(]([^\])]*)[\])]")
 
 
 def vector(letter: str) -> tuple[str, str, str]:
@@ -73,13 +81,15 @@ def assign(
                 f"{', '.join(known)}."
             )
     found: dict[str, tuple[str, float]] = {}
+    short = {_BRACKET.sub(r"\1", name): name for name in names}
+    columns = {q: n if n in names else short.get(n, n) for q, n in columns.items()}
     for quantity, column in columns.items():
         if column not in names:
             raise ConfigError(
                 f"format.columns: there is no column {column!r} for {quantity}; the columns are "
                 f"{', '.join(names)}."
             )
-        found[quantity] = (column, _suffix(clean(column), known[quantity]))
+        found[quantity] = (column, _suffix(quantity, column, known[quantity], units))
     taken, meanings = set(columns.values()), _meanings(known)
     for name in names:
         match = None if name in taken else meanings.get(clean(name))
@@ -91,6 +101,10 @@ def assign(
                 "one, or choose by format.columns."
             )
         found[match[0]] = (name, match[1])
+    for name in names:
+        quantity, unit = _parts(name)
+        if unit and quantity in known and quantity not in found:
+            found[quantity] = (name, _suffix(quantity, name, known[quantity], units))
     return found | {
         quantity: (found[quantity][0], _factor(quantity, unit, known[quantity]))
         for quantity, unit in units.items()
@@ -105,7 +119,8 @@ def parse(name: str) -> tuple[str, float] | None:
 
 def clean(name: str) -> str:
     """Return a name in lower case, with underscores for spaces and brackets: x_mm for "X [mm]"."""
-    return re.sub(r"\W+", "_", name.replace("µ", "u").lower()).strip("_")
+    plain = unicodedata.normalize("NFKC", name).replace("μ", "u")  # both letters for micro
+    return re.sub(r"\W+", "_", plain.lower()).strip("_")
 
 
 def _meanings(known: Mapping[str, Mapping[str, float]]) -> dict[str, tuple[str, float]]:
@@ -116,9 +131,29 @@ def _meanings(known: Mapping[str, Mapping[str, float]]) -> dict[str, tuple[str, 
     }
 
 
-def _suffix(text: str, units: Mapping[str, float]) -> float:
-    """Return the factor of the unit at the end of a name; 1 where there is none."""
-    matches = [unit for unit in units if text.endswith(f"_{unit}")]
+def _parts(name: str) -> tuple[str, str]:
+    """Return the name of a column without its unit, and a unit in brackets or of `_OTHERS`."""
+    if bracket := _BRACKET.fullmatch(name):
+        return clean(bracket[1]), bracket[2]
+    stem, _, unit = clean(name).rpartition("_")
+    return (stem, unit) if unit in _OTHERS else (clean(name), "")
+
+
+def _suffix(
+    quantity: str, column: str, units: Mapping[str, float], stated: Mapping[str, str]
+) -> float:
+    """Return the factor of the unit at the end of a name; 1 where there is none, or one is stated.
+
+    Quantities without units may have anything there, such as "Probe [-]".
+    """
+    matches = [unit for unit in units if clean(column).endswith(f"_{unit}")]
+    unit = _parts(column)[1]
+    if units and unit and not matches and quantity not in stated:
+        raise ConfigError(
+            f"The column {column!r} has the unit {unit!r}, which is none of {', '.join(units)}; "
+            "convert its numbers, and state their unit, as in "
+            f'"format.units={{{quantity}: {next(iter(units))}}}".'
+        )
     return units[max(matches, key=len)] if matches else 1.0
 
 

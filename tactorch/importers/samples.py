@@ -13,7 +13,14 @@ from jaxtyping import Bool, Float, Int
 from tactorch.errors import FileError
 from tactorch.importers.quantities import PALPATION_UNITS, clean
 from tactorch.importers.sheets import Sheet, read_sheet
-from tactorch.importers.strokes import find_mixed, find_places, find_stroke, lost_work
+from tactorch.importers.strokes import (
+    find_mixed,
+    find_places,
+    find_steps,
+    find_stroke,
+    is_limited,
+    lost_work,
+)
 
 _log = logging.getLogger(__name__)
 _AXES = "xyz"
@@ -22,13 +29,18 @@ _REQUIRED = {
     **{a: f"{a}_mm" for a in _AXES},
     **{f"f{a}": f"f{a}_n" for a in _AXES},
 }
-_TIME = re.compile(r"(header_)?(time|t|timestamp|stamp|ros_time)(_(s|ms|us|ns))?")
+# Names of times, the most certain first; "T" alone is a temperature.
+_UNIT_OF_TIME = "(_(s|secs?|ms|us|ns|min))"
+_TIMES = (rf"time{_UNIT_OF_TIME}?", rf"t{_UNIT_OF_TIME}",
+          rf"(header_)?(time|timestamp|stamp|ros_time){_UNIT_OF_TIME}?", "t")  # fmt: skip
+_NUMBER = re.compile(r"[+-]?[0-9]+(\.[0-9]*)?")
 _SECONDS, _NANOSECONDS = re.compile(r"(.*_)?secs?"), re.compile(r"(.*_)?n(ano)?secs?")
 MIN_SAMPLES = 4  # of a probe
 #: Travel of a probe, over the ball's radius, below which it did not move.
 MIN_TRAVEL = 0.05
 _MAX_BACK = 0.01  # of the rows, before which a clock began again
 _STILL = 0.01  # motion that is none, over the ball's radius
+_RELAXED = 0.1  # fall of the force while balls are held, over its rise, from which it matters
 _APART = 0.5  # distance of places along the surface, over the ball's radius
 _UNIT = 0.2  # of the length of a unit normal, which rounding and averaging change
 _MIN_UP = 0.05  # component of a normal along z, the axis of the height of the surface
@@ -135,7 +147,15 @@ class Samples:
 def read_rows(path: Path, columns: Mapping[str, str], units: Mapping[str, str]) -> Rows:
     """Read the rows of a table; see `assign` for columns and units."""
     sheet = read_sheet(path, "palpation")
-    found = sheet.assigned(columns, units, PALPATION_UNITS, _REQUIRED, "palpation")
+    found = sheet.assigned(columns, units, PALPATION_UNITS)
+    absent = [f"f{axis}" for axis in _AXES if f"f{axis}" not in found]
+    lateral = absent if len(absent) == 2 else []  # of a load cell of one axis
+    needed = {name: column for name, column in _REQUIRED.items() if name not in lateral}
+    sheet.assigned(columns, units, PALPATION_UNITS, needed, "palpation")
+    if lateral:
+        _log.warning("'%s' has no %s and %s: they are taken as zero.", path, *lateral)
+        (measured,) = found.keys() & {f"f{axis}" for axis in _AXES}
+        found |= {name: (found[measured][0], 0.0) for name in lateral}
 
     def vectors(prefix: str) -> Float[np.ndarray, "s 3"] | None:
         names = [prefix + axis for axis in _AXES]
@@ -148,26 +168,32 @@ def read_rows(path: Path, columns: Mapping[str, str], units: Mapping[str, str]) 
     contacts, normals = vectors("contact_"), vectors("normal_")
     assert centres is not None
     assert forces is not None
+    known = np.isfinite(np.column_stack([centres, forces])).any(axis=0)
+    if not known.all():
+        column = found[list(_REQUIRED)[1 + known.argmin()]][0]
+        raise FileError(
+            f"'{path}': the column {column!r} has no numbers; fill it in. Where one force only was "
+            "measured, remove the columns of the others."
+        )
     both = contacts is not None and normals is not None
     labels = np.array([_label(text) for text in sheet.texts(found["probe"][0])])
     return Rows(
-        labels, centres, forces, sheet.lines, _time(sheet),
+        labels, centres, forces, sheet.lines, _time(sheet, labels),
         contacts if both else None, normals if both else None,
     )  # fmt: skip
 
 
 def _label(text: str) -> str:
     """Return the name of a probe: a number in its shortest form, "" where it is missing."""
-    try:
-        return "" if np.isnan(float(text)) else f"{float(text):.12g}"
-    except ValueError:
-        return text
+    if _NUMBER.fullmatch(text):
+        return f"{float(text):.12g}"
+    return "" if text.lower() == "nan" else text
 
 
-def _time(sheet: Sheet) -> Float[np.ndarray, " s"] | None:
+def _time(sheet: Sheet, labels: np.ndarray) -> Float[np.ndarray, " s"] | None:
     """Return the times of the rows, in any unit; None where they are not known for all."""
-    names = {clean(name): name for name in sheet.columns}
-    whole = [name for name in names if _TIME.fullmatch(name)]
+    names = {"" if name == "T" else clean(name): name for name in sheet.columns}
+    whole = [name for form in _TIMES for name in names if re.fullmatch(form, name)]
     parts = [[name for name in names if form.fullmatch(name)] for form in (_SECONDS, _NANOSECONDS)]
     try:
         if all(parts):
@@ -179,7 +205,8 @@ def _time(sheet: Sheet) -> Float[np.ndarray, " s"] | None:
             return None
     except FileError:  # such as a date
         return None
-    if not np.isfinite(times).all():
+    backwards = (np.diff(times) < 0.0) & (labels[1:] == labels[:-1])
+    if not np.isfinite(times).all() or (not all(parts) and whole[0] == "t" and backwards.any()):
         return None
     back = -np.minimum(np.diff(times, prepend=times[:1]), 0.0)
     # A clock that began again, unless the rows are in no order.
@@ -252,6 +279,7 @@ class _Strokes:
             for part, outward in zip(self.parts, known, strict=True)
         ]
         self.pressed = [p[s.pressed] for p, s in zip(self.parts, self.strokes, strict=True)]
+        self.limited, self.held = self._leave_limited(known, path), self._leave_held(known, path)
         centres = [rows.centres_mm[pressed] for pressed in self.pressed]
         self.origins, last = (np.array([c[i] for c in centres]) for i in (0, -1))
         self.travel = np.linalg.norm(last - self.origins, axis=1)
@@ -259,6 +287,45 @@ class _Strokes:
         self.normals = normals / np.maximum(lengths, 1e-300)[:, None]
         if rows.normals is None:
             self._take_motion(centres, last)
+
+    def _branches(
+        self, outward: Float[np.ndarray, "probes 3"]
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return advances (mm) and forces along the axis of the sensor nearest to the normal."""
+        parts = zip(self.pressed, outward, np.abs(outward).argmax(axis=1), strict=True)
+        centres, forces = self.rows.centres_mm, self.rows.forces_n
+        return [(-centres[p] @ n, np.sign(n[axis]) * forces[p, axis]) for p, n, axis in parts]
+
+    def _leave_held(self, outward: Float[np.ndarray, "probes 3"], path: Path) -> int:
+        """Leave out the rows in which balls are held at several depths, if forces fall there."""
+        steps = [find_steps(*pair, _STILL * self.radius) for pair in self._branches(outward)]
+        fall, rise = sum(step[1] for step in steps), sum(step[2] for step in steps)
+        if not 0.0 < _RELAXED * rise < fall or not all(s.ordered for s in self.strokes):
+            return 0
+        before = sum(map(len, self.pressed))
+        self.pressed = [p[rows] for p, (rows, *_) in zip(self.pressed, steps, strict=True)]
+        count = before - sum(map(len, self.pressed))
+        _log.warning(
+            "'%s': forces fall by %.0f %% of their rise while balls are held at a depth; these %d "
+            "samples are left out.", path, 100.0 * fall / rise, count,
+        )  # fmt: skip
+        return count
+
+    def _leave_limited(self, outward: Float[np.ndarray, "probes 3"], path: Path) -> int:
+        """Leave out the rows of the loading branches that are at the limit of the force sensor."""
+        before, branches = sum(map(len, self.pressed)), self._branches(outward)
+        limits = {force.max() for way, force in branches if is_limited(way, force)}
+        limited = [k for k, (_, f) in enumerate(branches) if f.max() in limits and np.ptp(f) > 0.0]
+        for k in limited:
+            self.pressed[k] = self.pressed[k][branches[k][1] < branches[k][1].max()]
+        count = before - sum(map(len, self.pressed))
+        if limited:
+            _log.warning(
+                "'%s': %d samples of %d probes are left out, as their force is at the limit of the "
+                "sensor (%.3g N): %s. Press less deep there, or use a sensor of a larger range.",
+                path, count, len(limited), np.abs(max(limits)), _named(self.names[limited]),
+            )  # fmt: skip
+        return count
 
     def _take_motion(
         self, centres: list[Float[np.ndarray, "_ 3"]], last: Float[np.ndarray, "probes 3"]
@@ -294,7 +361,10 @@ class _Strokes:
         lifted = [stroke.lifted for stroke in self.strokes]
         moved, pressed = sum(stroke.moved for stroke in self.strokes), sum(map(len, self.pressed))
         left_out["before the approach"] = moved
-        left_out["lifted or pressed again"] = len(self.rows.labels) - moved - pressed
+        left_out["at the limit of the force sensor"] = self.limited
+        left_out["held while the force falls"] = self.held
+        others = moved + pressed + self.limited + self.held
+        left_out["lifted or pressed again"] = len(self.rows.labels) - others
         branches = [
             (self._branch(k, self.pressed[k]), self._branch(k, self.parts[k][lifted[k]]))
             for k in range(len(self.names))
@@ -330,12 +400,20 @@ class _Strokes:
             "no unit normal": ~self.unit,
             "a normal that does not point upwards (z)": ~up,
         }
-        usable = np.ones(len(self.names), dtype=bool)
+        usable, counts = np.ones(len(self.names), dtype=bool), {}
         for reason, faulty in faults.items():
             name_probes(path, self.names[faulty & usable], reason)
+            counts[reason] = int((faulty & usable).sum())
             usable &= ~faulty
         if not usable.any():
-            raise _wrong_axis(path, np.median(self.normals, axis=0))
+            most = max(counts, key=counts.__getitem__)
+            if "normal" in most:
+                raise _wrong_axis(path, np.median(self.normals, axis=0))
+            raise FileError(
+                f"'{path}' has no probe that can be used: {counts[most]} of {len(usable)} have "
+                f"{most}. All rows of a place have one number of the probe; check it, and the unit "
+                "of each of x, y and z."
+            )
         unordered = usable & ~np.array([stroke.ordered for stroke in self.strokes])
         if unordered.any():
             self._check_order(path, np.flatnonzero(unordered))
@@ -364,11 +442,13 @@ def _lower_half(centres: Float[np.ndarray, "p 3"]) -> Bool[np.ndarray, " p"]:
 
 def _wrong_axis(path: Path, outward: Float[np.ndarray, "3"]) -> FileError:
     axis = int(np.abs(outward).argmax())
+    up = f"{_AXES[axis]}{'+' if outward[axis] > 0 else '-'}"
     return FileError(
         f"'{path}' has no probe that can be used; see the warnings. Normals must point out of the "
-        f"object, with z upwards; they are about ({', '.join(f'{x:.2g}' for x in outward)}). If "
-        f"another axis points out of the object, give it, as format.up={_AXES[axis]}"
-        f"{'+' if outward[axis] > 0 else '-'}."
+        f"object, with z upwards; they are about ({', '.join(f'{x:.2g}' for x in outward)}). Balls "
+        "that slide along the surface cannot be used."
+        + f" If another axis points out of the object, give it, as format.up={up}."
+        * (up != "z+")
     )
 
 
@@ -391,7 +471,11 @@ def _radius(path: Path, rows: Rows) -> float:
 def name_probes(path: str | Path, names: np.ndarray, reason: str) -> None:
     """Log a warning about probes that are left out, where there are any."""
     if len(names):
-        shown = ", ".join(f"'{name}'" for name in names[:NAMED])
-        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
         count = f"{len(names)} probes are" if len(names) > 1 else "1 probe is"
-        _log.warning("'%s': %s left out, with %s: %s%s.", path, count, reason, shown, more)
+        _log.warning("'%s': %s left out, with %s: %s.", path, count, reason, _named(names))
+
+
+def _named(names: np.ndarray) -> str:
+    """Return names of probes, the first of many."""
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(f"'{name}'" for name in names[:NAMED]) + more

@@ -20,6 +20,9 @@ from tactorch.importers.quantities import assign, clean
 _log = logging.getLogger(__name__)
 SUFFIXES = (".csv", ".txt", ".tsv", ".parquet")
 _DELIMITERS = ",;\t"
+_COMMENTS = ("#", "%", "//", "sep=", '"sep=')  # the last ones of Excel
+_UTF_16 = re.compile(rb"\xff\xfe[^\0]\0|\xfe\xff\0[^\0]")  # its mark and a letter
+_MAX_ABOVE = 100  # lines above the names
 _BYTES_PER_CELL = 64  # of a number of Python in a list
 _MISSING = ("", "-", "nan", "na", "n/a", "null", "none")
 
@@ -90,9 +93,11 @@ class Sheet:
 def read_sheet(path: str | Path, what: str = "table of presses") -> Sheet:
     """Read a table with a line of names: text with commas, semicolons, tabs or spaces, or Parquet.
 
-    Lines that are empty or start with # are ignored, except names in the last of them above the
-    numbers. Units may be in a second line. Decimals may have commas. Lines of names within the
-    table, as after a restart of a logger, are left out. Messages name the expected content `what`.
+    Lines that are empty or start with #, % or // are ignored, except names in the last of them
+    above the numbers, and rows that all start with #. Lines above the names are skipped. Units may
+    be in a second line. Decimals may have commas. Rows may have numbers without a name before them.
+    Lines of names within the table, as after a restart of a logger, are left out. Messages name the
+    expected content `what`.
     """
     source = require_file(path, what)
     sheet = _parquet(source) if source.suffix.lower() == ".parquet" else _text(source)
@@ -103,21 +108,39 @@ def read_sheet(path: str | Path, what: str = "table of presses") -> Sheet:
 
 def _text(source: Path) -> Sheet:
     try:
-        content = read_content(source, TEXT).decode("utf-8-sig")
-        numbered = [(n, text.strip(" ")) for n, text in enumerate(content.splitlines(), start=1)]
-        lines = [(n, text) for n, text in numbered if text.strip() and not text.startswith("#")]
+        content = read_content(source, TEXT)
+        texts = content.decode("utf-16" if _UTF_16.match(content) else "utf-8-sig").splitlines()
+        numbered = [(n, text.strip(" ")) for n, text in enumerate(texts, start=1)]
+        lines = [(n, t) for n, t in numbered if t.strip() and not t.startswith(_COMMENTS)]
+        if len(lines) == 1:  # names of probes such as #1
+            lines += [(n, t) for n, t in numbered[lines[0][0] :] if t.startswith("#")]
         if not lines:
             raise FileError(f"'{source}' is empty; a table has a line of names, then numbers.")
         above = [line for line in numbered[: lines[0][0] - 1] if line[1]]
         if above and any(map(_is_number, re.split(r"[;,\s]+", lines[0][1]))):
-            lines.insert(0, (above[-1][0], above[-1][1].lstrip("# ")))
+            lines.insert(0, (above[-1][0], above[-1][1].lstrip("#%/ ")))
+        lines = lines[_find_names([text for _, text in lines]) :]
         rows = _split([text for _, text in lines])
     except (UnicodeDecodeError, csv.Error) as error:
         raise FileError(
             f"'{source}' is not a table of text: {error}; save it as CSV in UTF-8."
         ) from error
-    numbers = [number for number, _ in lines[1:]]
-    return _table(source, rows[0], list(zip(numbers, rows[1:], strict=True)))
+    numbers = [number for number, _ in lines]
+    return _table(source, list(zip(numbers, rows, strict=True)))
+
+
+def _find_names(lines: list[str]) -> int:
+    """Return the first line with as many cells as that in the middle, which are mostly numbers.
+
+    It is the first of all where none is such, or has numbers.
+    """
+    for i, line in enumerate(lines[:_MAX_ABOVE]):
+        names, cells = _split([line, lines[len(lines) // 2]])
+        filled = sum(map(bool, names))
+        fits = 1 < sum(map(bool, cells)) <= filled + 1
+        if fits and 2 * sum(map(_is_number, cells)) > filled > 1:
+            return 0 if any(map(_is_number, names)) else i
+    return 0
 
 
 def _split(lines: list[str]) -> list[list[str]]:
@@ -128,8 +151,9 @@ def _split(lines: list[str]) -> list[list[str]]:
     return [[cell.strip() for cell in row] for row in reader]
 
 
-def _table(source: Path, header: list[str], rows: list[tuple[int, list[str]]]) -> Sheet:
+def _table(source: Path, numbered: list[tuple[int, list[str]]]) -> Sheet:
     """Return the sheet of a line of names and the cells of numbered lines below it."""
+    (at, header), *rows = numbered
     names, count, heads = header, len(rows), [header]
     units = [clean(cell) for cell in rows[0][1]] if rows else []
     if any(unit in UNITS for unit in units) and not any(map(_is_number, rows[0][1])):
@@ -138,13 +162,16 @@ def _table(source: Path, header: list[str], rows: list[tuple[int, list[str]]]) -
     rows = [(number, row) for number, row in rows if row not in heads]
     if len(rows) < count:
         _log.info("'%s': %d lines repeat the names or units.", source, count - len(rows))
+    extra = {row[0] for _, row in rows if len(row) == len(names) + 1 and row[0].isdigit()}
+    if len(extra) == len(rows) > 0 and all(row[-1] for _, row in rows):
+        names = ["", *names]  # R writes numbers of the rows without a name
     _check_names(source, names)
     cells = []
     for number, row in rows:
         if len(row) < len(names) or any(row[len(names) :]):
             raise FileError(
-                f"'{source}' line {number} has {len(row)} cells and the line of names"
-                f" {len(names)}; is the file cut short?"
+                f"'{source}' line {number} has {len(row)} cells and the line of names (line {at})"
+                f" {len(names)}; is the file cut short, or are there spaces in names?"
             )
         cells.append(row[: len(names)])
     columns = list(zip(*cells, strict=True)) or [()] * len(names)
@@ -154,7 +181,7 @@ def _table(source: Path, header: list[str], rows: list[tuple[int, list[str]]]) -
 
 def _with_unit(name: str, unit: str) -> str:
     """Return the name of a column with the unit that is stated below it."""
-    return name if unit not in UNITS or clean(name).endswith(f"_{unit}") else f"{name}_{unit}"
+    return name if not unit or clean(name).endswith(f"_{unit}") else f"{name} [{unit}]"
 
 
 def _with_point(cell: Any) -> Any:

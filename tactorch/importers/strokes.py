@@ -14,6 +14,9 @@ _ONE_PLACE = 0.6  # extent of rows that are near each other wherever they are ro
 _ASIDE = 0.2  # motion aside over motion along, up to which rows are of the approach
 _JITTER, _MAX_STILL = 5.0, 20.0  # motion that is none, over the noise of positions, at most
 _THIRD, _SCATTER, _MIN_SHARE = 3, 2.0, 0.08  # see `find_mixed`
+# Rows that repeat the largest force, at least, and over those that repeat another one; rise of the
+# force before over its noise and its steps, from which it would have risen further.
+_REPEATED, _LONGER, _RISE = 3, 2.0, 4.0
 _TURNS, _MIN_TURNS = 0.3, 4  # reversals of unordered rows, over their moves, and their number
 
 
@@ -102,6 +105,42 @@ def _begin(
     aside = np.linalg.norm(before - along[:, None] * (push / length), axis=1)
     off = np.flatnonzero(aside > _ASIDE * np.abs(along) + still_mm)
     return int(off[-1]) + 1 if len(off) else 0
+
+
+def is_limited(advance: Float[np.ndarray, " p"], force: Float[np.ndarray, " p"]) -> bool:
+    """Return whether a loading branch ends at the largest force that the sensor measures.
+
+    There the sensor repeats one force while the ball advances. Slow and coarse sensors repeat
+    others, too, but in fewer rows, and hardly rise over as long a way before.
+    """
+    begins = np.flatnonzero(np.diff(force, prepend=np.nan, append=np.nan))
+    values, counts, top = force[begins[:-1]], np.diff(begins), force.max()
+    run = int(np.argmax(np.where(values == top, counts, 0)))
+    upper = (values < top) & (values > 0.5 * (top + force.min()))
+    if counts[run] < max(_REPEATED, _LONGER * counts[upper].max(initial=1)):
+        return False
+    first, last = begins[run], begins[run + 1] - 1
+    before = 2.0 * advance[first] - advance[last]  # as far from the first as the last
+    rise = top - force[np.argmin(np.abs(advance[: first + 1] - before))]
+    steps = np.diff(np.unique(force)).min(initial=np.inf)
+    noise = np.median(np.abs(np.diff(force, n=2))) / (0.6745 * np.sqrt(6.0))
+    return bool(advance[last] > advance[first] and rise > _RISE * max(steps, noise))
+
+
+def find_steps(
+    advance: Float[np.ndarray, " p"], force: Float[np.ndarray, " p"], still_mm: float
+) -> tuple[list[int], float, float]:
+    """Return the rows of a loading branch that are deeper by `still_mm` than the one before.
+
+    Also by how much the force falls from each of these to the last row before the next, and by how
+    much it rises from there to the next, in total.
+    """
+    deepest, rows = np.maximum.accumulate(advance), [0]
+    while (row := int(np.searchsorted(deepest, deepest[rows[-1]] + still_mm))) < len(advance):
+        rows.append(row)
+    last = np.array([*rows[1:], len(advance)]) - 1
+    fall = float((force[rows] - force[last]).sum())
+    return rows, fall, float(force[last[-1]] - force[0]) + fall
 
 
 def find_mixed(probes: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:

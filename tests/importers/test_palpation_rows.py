@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 from tactorch.errors import TactorchError
 from tactorch.fem.contact.pressures import ball_force
 from tactorch.importers import import_palpation
-from tactorch.importers.strokes import find_mixed, find_stroke, lost_work
+from tactorch.importers.strokes import find_mixed, find_stroke, is_limited, lost_work
 from tactorch.mesh import TetMesh, box_mesh, write_mesh
 from tactorch.recording import Recording
 
 from .palpation_tables import (
     DEPTH,
     HEIGHT,
+    MODULUS,
     NAMES,
     NOISE,
     PLANE,
@@ -98,6 +99,27 @@ def test_what_is_left_out_is_counted(tmp_path: Path, caplog: pytest.LogCaptureFi
         caplog.text
     )
     assert "% less work (hysteresis)" in caplog.text
+
+
+@pytest.mark.parametrize("share", [0.01, 0.03])
+@pytest.mark.parametrize("height_n", [0.3, 3.0])
+def test_spikes_of_the_force_are_left_out(tmp_path: Path, share: float, height_n: float) -> None:
+    rows = palpation()
+    spikes = np.random.default_rng(1).random(len(rows)) < share
+    rows[spikes, 6] += height_n
+    recording = read(write(tmp_path / "p.csv", rows))
+    check(recording)
+    count = recording.provenance["rows_left_out"]["far from the others of their probe"]
+    assert count == pytest.approx(spikes.sum(), abs=1)
+
+
+@pytest.mark.parametrize("jumps", [False, True])
+def test_bends_and_jumps_of_the_force_are_no_spikes(tmp_path: Path, jumps: bool) -> None:
+    rows = palpation(modulus=20.0 * MODULUS)
+    if jumps:
+        rows[rows[:, 3] < HEIGHT + RADIUS - 0.6, 6] += 1.0
+    recording = read(write(tmp_path / "p.csv", rows))
+    assert "far from the others of their probe" not in recording.provenance["rows_left_out"]
 
 
 @pytest.mark.parametrize("jitter_mm", [0.005, 0.02, 0.05])
@@ -183,6 +205,60 @@ def test_the_offset_of_probes_without_air_is_that_of_the_others(
     assert deviations["probe 5"] < 0.003
 
 
+@pytest.mark.parametrize("offset", [0.0, -5.0])
+def test_forces_at_the_limit_of_the_sensor_are_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, offset: float
+) -> None:
+    rows = palpation(offset=lambda k, time: offset)
+    stiff = rows[:, 0] % 5 == 0
+    rows[stiff] = palpation(offset=lambda k, time: offset, modulus=4.0 * MODULUS)[stiff]
+    rows[:, 6] = np.minimum(rows[:, 6], offset + 0.3)
+    recording = read(write(tmp_path / "p.csv", rows))
+    ratios = forces_over_expected(recording)
+    assert ratios[::5] == pytest.approx(4.0, rel=0.15)
+    assert np.delete(ratios, np.s_[::5]) == pytest.approx(1.0, abs=0.08)
+    count = np.isclose(rows[:, 6], offset + 0.3).sum()
+    assert recording.provenance["rows_left_out"]["at the limit of the force sensor"] == count
+    shown = f"limit of the sensor ({abs(offset + 0.3):.3g} N): '0', '5', '10', '15'."
+    assert f"{count} samples of 4 probes are left out" in caplog.text
+    assert shown in caplog.text
+
+
+@pytest.mark.parametrize("step_mm", [0.002, 0.05])
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+@pytest.mark.parametrize("resolution", [0.02, 0.1])
+def test_coarse_and_slow_forces_and_dwells_are_not_at_the_limit(
+    step_mm: float, noise: float, resolution: float
+) -> None:
+    depth = np.concatenate([path_of(step=step_mm), np.full(50, DEPTH)])
+    rows = palpation(depth, side=1)
+    force = PLANE * ball_force(depth, RADIUS) + noise * (
+        rows[:, 6] - PLANE * ball_force(depth, RADIUS)
+    )
+    coarse = resolution * np.round(force / resolution)
+    assert not is_limited(depth, coarse)
+    slow = force[np.arange(len(force)) // 10 * 10]
+    assert not is_limited(depth[:-50], slow[:-50])
+    assert not is_limited(depth, resolution * np.round(noise * rows[:, 4] / resolution))
+    assert is_limited(depth, np.minimum(coarse, 0.1)) == (resolution < 0.1 / 4.0)
+
+
+@pytest.mark.parametrize("jitter_mm", [0.0, 0.003])
+@pytest.mark.parametrize("rate", [0.2, -0.2])
+def test_samples_of_held_balls_are_left_out_where_the_force_falls(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, jitter_mm: float, rate: float
+) -> None:
+    rows = palpation(np.repeat(path_of(step=0.1), 20))
+    held = 1.0 - 0.35 * (1.0 - np.exp(-rate * (np.arange(len(rows)) % 20)))
+    rows[:, 6] *= held if rate > 0.0 else 1.0
+    rows[:, 3] += jitter_mm * np.random.default_rng(2).standard_normal(len(rows))
+    recording = read(write(tmp_path / "p.csv", rows))
+    check(recording, tolerance=0.12)
+    count = recording.provenance["rows_left_out"].get("held while the force falls", 0)
+    assert count == (16 * 25 * 19 if rate > 0.0 else 0)
+    assert ("of their rise while balls are held at a depth" in caplog.text) == (rate > 0.0)
+
+
 # --- Units -----------------------------------------------------------------------------------
 
 FORCES = ("fx", "fy", "fz")
@@ -208,6 +284,47 @@ def test_units_are_refused_by_what_they_imply(tmp_path: Path, unit: str) -> None
     suffixed = {f"{name}_mm" if name in "xyz" else f"{name}_n" for name in quantities}
     names = [f"{name.split('_')[0]}_{unit}" if name in suffixed else name for name in NAMES]
     check(read(write(path, rows, names)))
+
+
+OTHER_UNITS = {
+    "g": (slice(4, 7), 1e3 / 9.80665),
+    "kgf": (slice(4, 7), 1.0 / 9.80665),
+    "lbf": (slice(4, 7), 1.0 / 4.4482216),
+    "inch": (slice(1, 4), 1.0 / 25.4),
+    "\u00b5m": (slice(1, 4), 1e3),  # the letter of the unit, then the Greek one
+    "\u03bcm": (slice(1, 4), 1e3),
+    "dyn": (slice(4, 7), 1e5),
+    "ft": (slice(1, 4), 1.0 / 304.8),
+}
+
+
+@pytest.mark.parametrize(
+    ("place", "named"), [("{} [{}]", False), ("{}_{}", True), ("below", False), ("below", True)]
+)
+@pytest.mark.parametrize("unit", OTHER_UNITS)
+def test_units_of_names_are_read_or_refused(
+    tmp_path: Path, unit: str, place: str, named: bool
+) -> None:
+    columns, factor = OTHER_UNITS[unit]
+    rows = palpation(side=3)
+    rows[:, columns] *= factor
+    names, units = [name.split("_")[0] for name in NAMES], [""] * 7
+    units[columns] = [unit] * 3
+    if place != "below":
+        names[columns] = [place.format(name, unit) for name in names[columns]]
+    quantities = ("x", "y", "z", *FORCES)
+    stated = dict(zip(quantities, [f"{'Log ' * named}{n}" for n in names[1:]], strict=True))
+    path = write(tmp_path / "p.csv", rows, ["probe", *stated.values()])
+    if place == "below":
+        default = ["-", *["mm"] * 3, *["N"] * 3]
+        units = [known or other for known, other in zip(units, default, strict=True)]
+        path.write_text(path.read_text().replace("\n", "\n" + ",".join(units) + "\n", 1))
+    options = {"columns": stated} if named else {}
+    if unit in ("dyn", "ft"):
+        with pytest.raises(TactorchError, match=rf"p\.csv.*unit '{unit}', which is none of"):
+            read(path, **options)
+    else:
+        check(read(path, **options), probes=9)
 
 
 def test_a_wide_palpation_in_cm_is_refused_by_its_depths(tmp_path: Path) -> None:
@@ -292,6 +409,49 @@ def test_numbers_that_begin_again_are_other_probes(
     assert f"such as those of probe {first}: line 2 at (0, 0) mm, line 410 at (8, 0)" in caplog.text
     names = {press.name for press in recording.presses}
     assert {f"probe {first}", f"probe {first} (2)"} <= names
+
+
+@pytest.mark.parametrize("label", ["1_1{}", "0E{}", "1E1{}", "{}.0"])
+def test_names_of_probes_that_python_takes_as_numbers(tmp_path: Path, label: str) -> None:
+    rows = palpation()
+    path = write(tmp_path / "p.csv", rows, labels=[label.format(int(k)) for k in rows[:, 0]])
+    recording = read(path)
+    check(recording)
+    names = {press.name for press in recording.presses}
+    assert names == {f"probe {label.format(k).removesuffix('.0')}" for k in range(16)}
+
+
+OTHER_TIMES = {
+    "T": lambda rows: 23.0 + 0.1 * np.sin(1e3 * rows[:, 7]),  # a temperature
+    "t": lambda rows: 23.0 + 0.1 * np.sin(1e3 * rows[:, 7]),
+    "stamp,time_s": lambda rows: np.arange(len(rows)) * 7919 % 1000,
+}
+
+
+@pytest.mark.parametrize("names", OTHER_TIMES)
+def test_columns_that_are_no_time_do_not_order_the_rows(tmp_path: Path, names: str) -> None:
+    rows = palpation(FULL, lifted=0.6)
+    rows = np.column_stack([rows[:, :7], OTHER_TIMES[names](rows), rows[:, 7]])
+    check(read(write(tmp_path / "p.csv", rows, (*NAMES, *names.split(",")))))
+
+
+def test_a_time_t_orders_the_rows_where_it_rises_within_probes(tmp_path: Path) -> None:
+    rows = palpation(FULL, lifted=0.6)
+    rows[:, 7] -= np.repeat(rows[:: len(FULL), 7], len(FULL))
+    mixed = np.arange(len(rows)).reshape(16, -1).T.ravel()  # the probes by turns
+    check(read(write(tmp_path / "p.csv", rows[mixed], (*NAMES, "t"))))
+
+
+def test_one_measured_force_is_enough(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    rows = palpation()
+    cut = np.delete(rows, [4, 5], axis=1)
+    check(read(write(tmp_path / "p.csv", cut, [*NAMES[:4], "fz_n"])))
+    assert "has no fx and fy: they are taken as zero" in caplog.text
+    with pytest.raises(TactorchError, match="lacks the column 'fy_n'"):
+        read(write(tmp_path / "p.csv", np.delete(rows, 5, axis=1), np.delete(NAMES, 5)))
+    rows[:, 5] = np.nan
+    with pytest.raises(TactorchError, match="the column 'fy_n' has no numbers"):
+        read(write(tmp_path / "p.csv", rows))
 
 
 def _turned(rows: Rows, order: list[int], signs: list[float]) -> Rows:
@@ -396,6 +556,51 @@ def test_nine_probes_have_a_plane(tmp_path: Path, caplog: pytest.LogCaptureFixtu
     assert "format.mesh" in caplog.text
 
 
+def _one_row_each(rows: Rows) -> Rows:
+    rows[:, 0] = np.arange(len(rows))
+    return rows
+
+
+def _at(*places: tuple[float, float]) -> Callable[[Rows], Rows]:
+    def moved(rows: Rows) -> Rows:
+        rows = rows[rows[:, 0] < len(places)]
+        rows[:, 1:3] = np.array(places)[rows[:, 0].astype(int)]
+        return rows
+
+    return moved
+
+
+NO_RESULT: dict[str, tuple[Callable[[Rows], Rows], str]] = {
+    "few samples": (
+        lambda rows: rows[::18],
+        "16 of 16 have fewer than 4 samples .*one number of the probe",
+    ),
+    "a number for each row": (_one_row_each, "816 of 816 have fewer .*one number of the probe"),
+    "z in m": (
+        lambda rows: rows * [1, 1, 1, 1e-3, 1, 1, 1, 1],
+        "16 of 16 have a travel of less than 0.15 mm\\. .*unit of each of x, y and z",
+    ),
+    "sliding": (
+        lambda rows: np.column_stack(
+            [rows[:, :2], rows[:, 2] + rows[:, 3], np.full((len(rows), 5), 0.1)]
+        ),
+        "Balls that slide along the surface cannot be used",
+    ),
+    "one place": (_at(*[(0.0, 0.0)] * 12), "12 probes are within 0 mm.* all are at one place"),
+    "one probe": (_at((0.0, 0.0)), "by 1 points is not known"),
+    "probes in line": (_at((0.0, 0.0), (8.0, 0.0), (16.0, 0.0)), r"in line.*format\.mesh"),
+}
+
+
+@pytest.mark.parametrize("given", NO_RESULT)
+def test_the_reason_that_leaves_no_probe_is_named(tmp_path: Path, given: str) -> None:
+    spoil, message = NO_RESULT[given]
+    path = write(tmp_path / "p.csv", spoil(palpation()))
+    with pytest.raises(TactorchError, match=rf"p\.csv'.*{message}") as error:
+        read(path)
+    assert "format.up=z+" not in str(error.value)
+
+
 # --- Text ------------------------------------------------------------------------------------
 
 
@@ -437,17 +642,37 @@ TEXTS: dict[str, Callable[[list[str]], list[str]]] = {
         lambda t: f"{1_700_000_000 + int(t)},{int(1e9 * (t % 1))}",
     ),
     "empty cells at the end": lambda lines: [f"{line}," for line in lines],
+    "lines above": lambda lines: ["Robot: UR5e", "Range, 0, 10", "", *lines],
+    "cells above": lambda lines: ["Robot,UR5e,,,,,,", "Serial,7,,,,,,", ",,,,,,,", *lines],
+    "lines above and units": lambda lines: ["Robot UR5e, cell 3", *_units_below(lines)],
+    "comments of other languages": lambda lines: ["% a, b", "// c", *lines[:9], "%", *lines[9:]],
+    "delimiter for Excel": lambda lines: ["sep=;", *(line.replace(",", ";") for line in lines)],
+    "numbers of rows by R": lambda lines: [
+        " ".join(f'"{name}"' for name in lines[0].split(",")),
+        *(f'"{i}" {line.replace(",", " ")}' for i, line in enumerate(lines[1:], start=1)),
+    ],
+    "probes named by #": lambda lines: ["# log", lines[0], *(f"#{line}" for line in lines[1:])],
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("text", TEXTS)
-def test_tables_of_loggers_are_read(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_tables_of_loggers_are_read(tmp_path: Path, text: str, encoding: str) -> None:
     lines = write(tmp_path / "p.csv", palpation(FULL, lifted=0.6), TIMED).read_text().splitlines()
     path = tmp_path / "q.csv"
-    path.write_text("\n".join(TEXTS[text](lines)), encoding="utf-8")
+    content = "\n".join(TEXTS[text](lines))
+    path.write_text(content.lstrip("\ufeff" * (encoding == "utf-16")), encoding=encoding)
     recording = read(path)
     check(recording)
     assert recording.provenance["rows"] == len(lines) - 1
+
+
+def test_spaces_in_names_are_reported_with_the_line_of_names(tmp_path: Path) -> None:
+    lines = write(tmp_path / "p.csv", palpation(side=1)).read_text().replace(",", " ").splitlines()
+    rows = ["# log", lines[0], *(f"P {line}" for line in lines[1:])]
+    (tmp_path / "p.csv").write_text("\n".join(rows))
+    with pytest.raises(TactorchError, match=r"line 3 has 8 cells.*\(line 2\) 7; .*spaces in names"):
+        read(tmp_path / "p.csv")
 
 
 def test_rows_without_numbers_are_counted(tmp_path: Path) -> None:

@@ -280,7 +280,11 @@ WRONG: dict[str, Wrong] = {
     "two units": (lambda rows: rows | {"ux_m": rows["ux_mm"]}, {}, ConfigError, "both have"),
     "no quantity": (lambda r: r, {"columns": {"vx": "ux_mm"}}, ConfigError, "'vx' is unknown"),
     "unknown column": (lambda r: r, {"columns": {"ux": "dx"}}, ConfigError, r"no column 'dx'"),
-    "unknown unit": (lambda r: r, {"units": {"ux": "inch"}}, ConfigError, "'inch'.*mm, cm"),
+    "unknown unit": (lambda r: r, {"units": {"ux": "ell"}}, ConfigError, "'ell'.*mm, cm"),
+    "unit that is not read": (
+        lambda rows: {n.replace("ux_mm", "ux [ft]"): c for n, c in rows.items()}, {}, ConfigError,
+        r"'ux \[ft\]' has the unit 'ft', which is none of mm, .*format\.units={ux: mm}",
+    ),
     "unknown material": (lambda r: r, {"material": "wood"}, ConfigError, r"wood.*neo_hookean"),
     "no force at all": (
         lambda rows: rows | {f"f{a}_n": np.zeros(52) for a in "xyz"}, {}, RecordingError,
