@@ -35,6 +35,9 @@ TEXT = 30
 MAX_DEPTH = 32
 #: Bytes of a YAML file; settings that people write are far smaller.
 MAX_YAML = 1_000_000
+#: Characters of a value in YAML without quotes: a hexadecimal number of 4300 decimal digits, which
+#: is the longest that Python shows, has 3570, and the time for numbers grows as their square.
+MAX_PLAIN = 3000
 #: Pixels of a picture, and of a frame of a video.
 MAX_PIXELS = 100_000_000
 _MAX_EXPANDED = 10**7  # characters of settings that refer to others
