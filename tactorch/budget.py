@@ -197,6 +197,16 @@ class Unpacking:
     def __init__(self, path: Path, copies: float) -> None:
         self._path, self._copies, self._size = path, copies, 0
 
+    def add(self, size: int) -> None:
+        """Count a part that is not compressed; several may be at the same place of the file.
+
+        Raises:
+            FileError: The parts so far are too large.
+        """
+        self._size += size
+        claim = f"its unpacked content of {_size(self._size)} or more"
+        check_memory(self._path, claim, self._copies * self._size)
+
     def part(self, make: Callable[[], Any], data: bytes | memoryview) -> bytearray:
         """Return what a part contains; `make` returns a decompressor.
 
@@ -210,9 +220,7 @@ class Unpacking:
             data = getattr(unpacked, "unconsumed_tail", b"")  # LZMA keeps what it has not consumed
             if not piece and not data:
                 raise EOFError("a compressed part is incomplete")
-            self._size += len(piece)
-            claim = f"its unpacked content of {_size(self._size)} or more"
-            check_memory(self._path, claim, self._copies * self._size)
+            self.add(len(piece))
             content += piece
         return content
 

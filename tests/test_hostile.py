@@ -369,12 +369,28 @@ LEGACY = (
     "# vtk DataFile Version 3.0\na\nASCII\nDATASET UNSTRUCTURED_GRID\n"
     "POINTS 10000000000 double\n0 0 0\n"
 )
+IMAGE = (
+    "# vtk DataFile Version 3.0\na\nASCII\nDATASET STRUCTURED_POINTS\nDIMENSIONS 90 90 90\n"
+    "ORIGIN 0 0 0\nSPACING 1 1 1\n"
+)
 VTU = (
     '<?xml version="1.0"?><VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian">'
     '<UnstructuredGrid><Piece NumberOfPoints="10000000000" NumberOfCells="1"><Points><DataArray '
     'type="Float64" NumberOfComponents="3" format="ascii">0 0 0</DataArray></Points></Piece>'
     "</UnstructuredGrid></VTKFile>"
 )
+
+
+def repeated_array(folder: Path) -> Path:
+    """A file whose arrays are all at one place of the raw data."""
+    array = '<DataArray type="Float64" Name="{}" format="appended" offset="0"/>'
+    (folder / "a.vtu").write_bytes(
+        b'<VTKFile type="UnstructuredGrid" byte_order="LittleEndian"><UnstructuredGrid><Piece>'
+        b"<PointData>%b</PointData></Piece></UnstructuredGrid>"
+        b'<AppendedData encoding="raw">_%b%b</AppendedData></VTKFile>'
+        % ("".join(map(array.format, range(300))).encode(), struct.pack("<I", 1 << 20), ZEROS)
+    )
+    return folder / "a.vtu"
 
 
 def vtk(kind: str, name: str) -> Callable[[Path], Path]:
@@ -485,7 +501,9 @@ ATTACKS: list[tuple[str, str, Callable[[Path], Path]]] = [
     ("vtk", "expands (lzma)", vtk("lzma", "a.vtu")),
     ("vtk", "expands (vtp)", vtk("zlib", "a.vtp")),
     ("vtk", "states less (vtp)", vtk("zlib small", "a.vtp")),
+    ("vtk", "one array many times", repeated_array),
     ("vtk", "declared (vtk)", text(LEGACY, "a.vtk")),
+    ("vtk", "dimensions (vtk)", text(IMAGE, "a.vtk")),
     ("surface", "triangles", stl),
     ("surface", "faces", text(PLY.format("ascii", "") + "0 0 0\n1 0 0\n0 1 0\n", "a.ply")),
     (

@@ -351,8 +351,8 @@ def _plug_ins() -> list[Finding]:
     """Return the findings of components of other packages."""
     try:
         installed = plug_ins.installed()
-    except ConfigError as error:
-        return [Finding("plug-ins", "entry points", False, str(error), "all of tactorch")]
+    except ConfigError as damage:
+        return [Finding("plug-ins", "entry points", False, str(damage), "all of tactorch")]
     findings = []
     for key, error in plug_ins.check(installed).items():
         entries = installed[key]
