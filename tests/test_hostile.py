@@ -356,6 +356,16 @@ def database(folder: Path) -> Path:
     return folder / "a.db3"
 
 
+def long_message(folder: Path) -> Path:
+    with sqlite3.connect(folder / "a.db3") as base:
+        base.execute("CREATE TABLE topics(id, name, type, serialization_format)")
+        base.execute("INSERT INTO topics VALUES (1, '/a', 'std_msgs/msg/String', 'cdr')")
+        base.execute("CREATE TABLE messages(id, topic_id, timestamp, data)")
+        base.execute(f"INSERT INTO messages VALUES (1, 1, 1, zeroblob({OVER << 18}))")
+    base.close()
+    return folder / "a.db3"
+
+
 # --- Meshes ---------------------------------------------------------------------------------------
 
 PLY = (
@@ -552,6 +562,12 @@ def test_attacks(
     for refusal_of_the_system in ("llocate", "MemoryError"):
         assert refusal_of_the_system not in message, message
     assert "recursion" not in message, message
+
+
+def test_long_messages_are_refused_before_they_are_read(ask: Ask, tmp_path: Path) -> None:
+    outcome, message, *_ = ask("bag", long_message(tmp_path))
+    assert outcome == "refused"
+    assert "a message of" in message
 
 
 # --- Damage at random -----------------------------------------------------------------------------

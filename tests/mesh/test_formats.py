@@ -176,9 +176,19 @@ def test_groups_that_overlap(caplog: pytest.LogCaptureFixture) -> None:
     found = regions_of_groups({1: every[:6], 2: every[4:]}, one, names, "m.msh")
     assert "not clear which divide the body" in caplog.text
     assert regions_of_groups({1: every[:0]}, one, names, "m.msh") is None
+    with pytest.raises(MeshError, match="it has 100001 groups or sets"):
+        regions_of_groups(dict.fromkeys(range(100_001), every), one, names, "m.msh")
     nested = {1: every, 2: every[2:], 3: every[4:], 4: every}
     found = regions_of_groups(nested, one, names, "m.msh")
     np.testing.assert_array_equal(found, [1, 1, 2, 2, 3, 3, 3, 3])
+
+
+@pytest.mark.parametrize("section", ["Nodes", "Elements", "Entities"])
+def test_many_blocks_of_gmsh_are_refused(tmp_path: Path, section: str) -> None:
+    text = f"$MeshFormat\n4.1 0 8\n$EndMeshFormat\n${section}\n200001 4 1 4\n$End{section}\n"
+    (tmp_path / "m.msh").write_text(text)
+    with pytest.raises(FileError, match="it has 200001 blocks"):
+        read_mesh(tmp_path / "m.msh")
 
 
 NODES = "$Nodes\n1\n1 0 0 0\n$EndNodes\n"
@@ -403,6 +413,14 @@ def test_what_abaqus_files_may_not_state(
         (tmp_path / f"deep{i}.inp").write_text(f"*INCLUDE, INPUT=deep{i + 1}.inp\n")
     with pytest.raises(TactorchError, match=message):
         read_mesh(inp(tmp_path / "m.inp", *lines))
+
+
+def test_includes_of_includes_are_counted(tmp_path: Path) -> None:
+    for i in range(3):
+        (tmp_path / f"{i}.inp").write_text(f"*INCLUDE, INPUT={i + 1}.inp\n" * 11)
+    (tmp_path / "3.inp").write_text("")
+    with pytest.raises(FileError, match="includes more than 1000 files"):
+        read_mesh(tmp_path / "0.inp")
 
 
 def test_included_files_in_the_folder(tmp_path: Path) -> None:
