@@ -198,11 +198,7 @@ class Unpacking:
         self._path, self._copies, self._size = path, copies, 0
 
     def add(self, size: int) -> None:
-        """Count a part that is not compressed; several may be at the same place of the file.
-
-        Raises:
-            FileError: The parts so far are too large.
-        """
+        """Count a part that is not compressed, and refuse it if all so far are too large."""
         self._size += size
         claim = f"its unpacked content of {_size(self._size)} or more"
         check_memory(self._path, claim, self._copies * self._size)

@@ -162,8 +162,6 @@ class Registry:
 def entry_points() -> tuple[Any, ...]:
     """Return those for tactorch, by group, as the process finds them first; none is imported.
 
-    Of distributions of the same name, the first counts, as in `importlib.metadata`.
-
     Raises:
         ConfigError: The list of a distribution is damaged.
     """
@@ -177,7 +175,7 @@ def entry_points() -> tuple[Any, ...]:
                 "reinstall or uninstall it, as other packages fail by it too."
             ) from error
         if entries:
-            found.setdefault(_name(distribution), entries)
+            found.setdefault(_name(distribution), entries)  # the first of a name counts
     every = [entry for entries in found.values() for entry in entries]
     return tuple(sorted(every, key=lambda entry: entry.group))
 

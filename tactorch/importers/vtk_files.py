@@ -19,7 +19,7 @@ from tactorch.mesh.io import reading
 SUFFIXES = (".vtu", ".vtk", ".vtp")
 _EXPANSION = 8  # bytes of memory for each of a file, in meshio
 _HEADER = re.compile(
-    rb"^[ \t]*(DIMENSIONS|POINTS|CELLS|CELL_TYPES|POINT_DATA|CELL_DATA|[XYZ]_COORDINATES)"
+    rb"^[ \t]*(DIMENSIONS|POINTS|CELLS|CELL_TYPES|[XYZ]_COORDINATES)"
     rb"((?:[ \t]+\d{1,18})+)", re.MULTILINE | re.IGNORECASE
 )  # fmt: skip
 _POINT = 400  # bytes in meshio for each point of a grid that DIMENSIONS states, with its cells
@@ -125,7 +125,5 @@ def _check_legacy(source: Path) -> None:
         claim = f"{name} {' '.join(map(str, numbers))}"
         if name == "DIMENSIONS":
             check_memory(source, claim, _POINT * prod(numbers))
-        elif name.endswith("_DATA"):
-            check_memory(source, claim, 8 * max(numbers))
         else:
             check_stored(source, claim, max(numbers))

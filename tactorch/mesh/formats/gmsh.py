@@ -99,16 +99,9 @@ class _Numbers:
         return int(self.take(kind)[0, 0])
 
     def blocks(self) -> int:
-        """Return how many blocks or entities follow.
-
-        Raises:
-            ValueError: They are too many.
-        """
+        """Return how many blocks or entities follow, if these are not too many."""
         if (count := self.one()) > _MAX_BLOCKS:
-            raise ValueError(
-                f"it has {count} blocks of nodes, elements or entities, of which {_MAX_BLOCKS} are "
-                "read; write a mesh of fewer entities"
-            )
+            raise ValueError(f"it has {count} blocks or entities; write {_MAX_BLOCKS} or fewer")
         return count
 
     def list(self, kind: str = "i") -> list[int]:

@@ -40,10 +40,7 @@ def regions_of_groups(
         MeshError: There are too many groups.
     """
     if len(members) > _MOST:
-        raise MeshError(
-            f"it has {len(members)} groups or sets of elements, of which {_MOST} are read; keep "
-            "those of the regions."
-        )
+        raise MeshError(f"it has {len(members)} groups or sets; write {_MOST} or fewer.")
     groups = {number: np.unique(rows) for number, rows in members.items() if len(rows)}
     if not groups:
         return None

@@ -160,7 +160,8 @@ def _ply_rows(
             return place + table.nbytes
     lists = {key: (array("d"), array("q")) for key, *_ in properties if key in wanted}
     try:
-        place = _ply_lists(data, place, count, properties, order, lists)
+        if (place := _ply_lists(data, place, count, properties, order, lists)) > len(data):
+            raise struct.error
     except struct.error as error:
         raise ValueError(f"the header states {count} rows of {name}, and it has fewer") from error
     found |= {key: (np.array(x), np.array(n, np.int64)) for key, (x, n) in lists.items()}
