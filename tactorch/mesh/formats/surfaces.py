@@ -33,7 +33,7 @@ _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _VERTEX = re.compile(rb"\s*(?:vertex([^\r\n]*)|[^\r\n]*)", re.IGNORECASE)  # of STL
 # A line of OBJ with the empty ones before it; "^" would be tried at each of these.
 _LINE = re.compile(r"\s*(?:([vf])(?!\S)([^#\r\n]*)|[^\r\n]*)")
-_MAX_ROWS = 5_000_000  # vertices and faces that are read one by one, which takes 10 s
+_MAX_ROWS = 4_000_000  # vertices and faces that are read one by one, which takes 10 s
 _MAX_SQUARES = 2_000_000_000  # sum over polygons, whose division then takes 10 s
 
 
@@ -86,7 +86,7 @@ def read_obj(path: Path) -> Polygons:
                 nodes.extend([i - 1 if i > 0 else count + i for i in indices])
                 widths.append(len(indices))
         except ValueError as error:
-            number = len(text[: line.end()].splitlines())
+            number = text.count("\n", 0, line.start(1)) + 1
             raise ValueError(f"line {number}: {error}") from error
     points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
     return points, np.array(nodes, dtype=np.int64), np.array(widths, dtype=np.int64)
