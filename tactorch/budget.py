@@ -35,6 +35,9 @@ TEXT = 30
 MAX_DEPTH = 32
 #: Bytes of a YAML file; settings that people write are far smaller.
 MAX_YAML = 1_000_000
+#: Characters of a value in YAML without quotes: a hexadecimal number of 4300 decimal digits, which
+#: is the longest that Python shows, has 3570, and the time for numbers grows as their square.
+MAX_PLAIN = 3000
 #: Pixels of a picture, and of a frame of a video.
 MAX_PIXELS = 100_000_000
 _MAX_EXPANDED = 10**7  # characters of settings that refer to others
@@ -194,6 +197,12 @@ class Unpacking:
     def __init__(self, path: Path, copies: float) -> None:
         self._path, self._copies, self._size = path, copies, 0
 
+    def add(self, size: int) -> None:
+        """Count a part that is not compressed, and refuse it if all so far are too large."""
+        self._size += size
+        claim = f"its unpacked content of {_size(self._size)} or more"
+        check_memory(self._path, claim, self._copies * self._size)
+
     def part(self, make: Callable[[], Any], data: bytes | memoryview) -> bytearray:
         """Return what a part contains; `make` returns a decompressor.
 
@@ -207,9 +216,7 @@ class Unpacking:
             data = getattr(unpacked, "unconsumed_tail", b"")  # LZMA keeps what it has not consumed
             if not piece and not data:
                 raise EOFError("a compressed part is incomplete")
-            self._size += len(piece)
-            claim = f"its unpacked content of {_size(self._size)} or more"
-            check_memory(self._path, claim, self._copies * self._size)
+            self.add(len(piece))
             content += piece
         return content
 

@@ -17,6 +17,7 @@ from zipfile import ZipFile
 
 from tactorch.budget import (
     MAX_DEPTH,
+    MAX_PLAIN,
     MAX_YAML,
     TEXT,
     check_archive,
@@ -231,6 +232,12 @@ def read_yaml(path: Path, what: str, error: type[TactorchError] = FileError) -> 
             if isinstance(event, yaml.AliasEvent):
                 raise error(
                     f"{what} uses the alias '*{event.anchor}'; write the value in its place."
+                )
+            is_plain = isinstance(event, yaml.ScalarEvent) and event.implicit[0]
+            if is_plain and (length := len(event.value)) > MAX_PLAIN:
+                raise error(
+                    f"{what} has a value of {length} characters in line "
+                    f"{event.start_mark.line + 1}; put text in quotes, and shorten numbers."
                 )
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)

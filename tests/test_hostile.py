@@ -356,6 +356,16 @@ def database(folder: Path) -> Path:
     return folder / "a.db3"
 
 
+def long_message(folder: Path) -> Path:
+    with sqlite3.connect(folder / "a.db3") as base:
+        base.execute("CREATE TABLE topics(id, name, type, serialization_format)")
+        base.execute("INSERT INTO topics VALUES (1, '/a', 'std_msgs/msg/String', 'cdr')")
+        base.execute("CREATE TABLE messages(id, topic_id, timestamp, data)")
+        base.execute(f"INSERT INTO messages VALUES (1, 1, 1, zeroblob({OVER << 18}))")
+    base.close()
+    return folder / "a.db3"
+
+
 # --- Meshes ---------------------------------------------------------------------------------------
 
 PLY = (
@@ -369,12 +379,28 @@ LEGACY = (
     "# vtk DataFile Version 3.0\na\nASCII\nDATASET UNSTRUCTURED_GRID\n"
     "POINTS 10000000000 double\n0 0 0\n"
 )
+IMAGE = (
+    "# vtk DataFile Version 3.0\na\nASCII\nDATASET STRUCTURED_POINTS\nDIMENSIONS 90 90 90\n"
+    "ORIGIN 0 0 0\nSPACING 1 1 1\n"
+)
 VTU = (
     '<?xml version="1.0"?><VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian">'
     '<UnstructuredGrid><Piece NumberOfPoints="10000000000" NumberOfCells="1"><Points><DataArray '
     'type="Float64" NumberOfComponents="3" format="ascii">0 0 0</DataArray></Points></Piece>'
     "</UnstructuredGrid></VTKFile>"
 )
+
+
+def repeated_array(folder: Path) -> Path:
+    """A file whose arrays are all at one place of the raw data."""
+    array = '<DataArray type="Float64" Name="{}" format="appended" offset="0"/>'
+    (folder / "a.vtu").write_bytes(
+        b'<VTKFile type="UnstructuredGrid" byte_order="LittleEndian"><UnstructuredGrid><Piece>'
+        b"<PointData>%b</PointData></Piece></UnstructuredGrid>"
+        b'<AppendedData encoding="raw">_%b%b</AppendedData></VTKFile>'
+        % ("".join(map(array.format, range(300))).encode(), struct.pack("<I", 1 << 20), ZEROS)
+    )
+    return folder / "a.vtu"
 
 
 def vtk(kind: str, name: str) -> Callable[[Path], Path]:
@@ -416,8 +442,11 @@ ATTACKS: list[tuple[str, str, Callable[[Path], Path]]] = [
     ("presets", "nested blocks", text("- " * 50_000, "conf/optimizer/a.yaml")),
     ("presets", "long", text("a: 1\n" * 300_000, "conf/optimizer/a.yaml")),
     ("presets", "references", text(references(), "conf/optimizer/a.yaml")),
+    ("presets", "long number", text(f"a: 0x{'f' * 200_000}\n", "conf/optimizer/a.yaml")),
     ("sensor", "aliases", text(aliases(), "sensor.yaml")),
     ("sensor", "nested", text(f"a: {NESTED}", "sensor.yaml")),
+    ("sensor", "long number", text(f"mm_per_px: {'59:' * 100_000}59\n", "sensor.yaml")),
+    ("run", "long number", run("config.yaml", f"a: 0x{'f' * 200_000}\n")),
     ("run", "aliases", run("config.yaml", aliases())),
     ("run", "nested", run("config.yaml", f"a: {NESTED}")),
     ("run", "references", run("config.yaml", references())),
@@ -482,7 +511,9 @@ ATTACKS: list[tuple[str, str, Callable[[Path], Path]]] = [
     ("vtk", "expands (lzma)", vtk("lzma", "a.vtu")),
     ("vtk", "expands (vtp)", vtk("zlib", "a.vtp")),
     ("vtk", "states less (vtp)", vtk("zlib small", "a.vtp")),
+    ("vtk", "one array many times", repeated_array),
     ("vtk", "declared (vtk)", text(LEGACY, "a.vtk")),
+    ("vtk", "dimensions (vtk)", text(IMAGE, "a.vtk")),
     ("surface", "triangles", stl),
     ("surface", "faces", text(PLY.format("ascii", "") + "0 0 0\n1 0 0\n0 1 0\n", "a.ply")),
     (
@@ -531,6 +562,12 @@ def test_attacks(
     for refusal_of_the_system in ("llocate", "MemoryError"):
         assert refusal_of_the_system not in message, message
     assert "recursion" not in message, message
+
+
+def test_long_messages_are_refused_before_they_are_read(ask: Ask, tmp_path: Path) -> None:
+    outcome, message, *_ = ask("bag", long_message(tmp_path))
+    assert outcome == "refused"
+    assert "a message of" in message
 
 
 # --- Damage at random -----------------------------------------------------------------------------

@@ -88,7 +88,7 @@ def _dispatch(words: list[str]) -> "App | None":
         return None
     from tactorch.cli.app import App, fail
     from tactorch.cli.help import help_text, wants_help
-    from tactorch.config.registry import did_you_mean
+    from tactorch.config.registry import did_you_mean, entry_points
     from tactorch.errors import TactorchError
 
     command, *settings = words
@@ -106,6 +106,8 @@ def _dispatch(words: list[str]) -> "App | None":
         command = f"{command} {settings.pop(0)}"
     plain = import_module(f"tactorch.cli.{command}") if command in PLAIN else None
     try:
+        if plain is None:
+            entry_points()  # torch and others fail with a traceback where it fails
         if wants_help(settings):
             print(help_text(command, settings) if plain is None else plain.HELP)
             return None

@@ -349,7 +349,10 @@ def _conf() -> str:
 
 def _plug_ins() -> list[Finding]:
     """Return the findings of components of other packages."""
-    installed = plug_ins.installed()
+    try:
+        installed = plug_ins.installed()
+    except ConfigError as damage:
+        return [Finding("plug-ins", "entry points", False, str(damage), "all of tactorch")]
     findings = []
     for key, error in plug_ins.check(installed).items():
         entries = installed[key]

@@ -4,7 +4,7 @@ import difflib
 import inspect
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from functools import cache
 from importlib import import_module, metadata
 from typing import Any
@@ -92,7 +92,9 @@ class Registry:
         try:
             with redirect_stdout(sys.stderr):
                 component = entry.load()
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # SystemExit, and exceptions that derive from none other
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise ConfigError(
                 f"{self.section} '{name}' of the entry point {entry.value} cannot be "
@@ -158,15 +160,38 @@ class Registry:
 
 @cache
 def entry_points() -> tuple[Any, ...]:
-    """Return those for tactorch, by group, as the process finds them first; none is imported."""
-    found = metadata.entry_points()
-    groups = sorted(group for group in found.groups if group.startswith(GROUPS))
-    return tuple(entry for group in groups for entry in found.select(group=group))
+    """Return those for tactorch, by group, as the process finds them first; none is imported.
+
+    Raises:
+        ConfigError: The list of a distribution is damaged.
+    """
+    found: dict[str, list[Any]] = {}
+    for distribution in metadata.distributions():
+        try:
+            entries = [e for e in distribution.entry_points if e.group.startswith(GROUPS)]
+        except Exception as error:  # whatever a damaged list leads to
+            raise ConfigError(
+                f"entry_points.txt of the package {_name(distribution)} cannot be read ({error}); "
+                "reinstall or uninstall it, as other packages fail by it too."
+            ) from error
+        if entries:
+            found.setdefault(_name(distribution), entries)  # the first of a name counts
+    every = [entry for entries in found.values() for entry in entries]
+    return tuple(sorted(every, key=lambda entry: entry.group))
+
+
+def _name(distribution: Any) -> str:
+    """Return the name of a distribution; where it is if it has none, or damaged metadata."""
+    with suppress(Exception):
+        if name := distribution.metadata["Name"]:
+            return str(name)
+    place = getattr(distribution, "_path", None) or distribution.locate_file("")
+    return f"without a name in '{place}'"
 
 
 def package(entry: Any) -> str:
     """Return the name of the distribution of an entry point."""
-    return entry.dist.name if entry.dist is not None else "unknown"
+    return _name(entry.dist) if entry.dist is not None else "unknown"
 
 
 def origin(entry: Any) -> str:

@@ -48,7 +48,9 @@ def load_target(path: Any, registry: Registry, where: str) -> type[Options]:
         sys.path.append(os.getcwd())
     try:
         component = getattr(import_module(module), name)
-    except (Exception, SystemExit) as error:  # whatever code of another package raises
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever code of another package raises
         raise ConfigError(
             f"'{where}': {TARGET}: {path} cannot be imported ({type(error).__name__}: {error}); "
             "check the path. The working directory and PYTHONPATH are searched."

@@ -7,6 +7,7 @@ nodes; those of other points, and those along a normal, are readings at the near
 surface. Forces at other points are divided among the nodes of their triangle.
 """
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,8 +45,8 @@ class TableOptions(PointOptions):
         mesh = read_mesh(self.mesh, self.unit, drop_unreferenced=False)
         files = press_files(Path(path), SUFFIXES, "table")
         presses = [data for file in files for data in self._read(read_sheet(file), len(files) > 1)]
-        names = [data.name for data in presses]
-        twice = next((name for name in names if names.count(name) > 1), None)
+        names = Counter(data.name for data in presses)
+        twice = next((name for name, count in names.items() if count > 1), None)
         if twice is not None:
             raise FileError(f"'{path}' has the press '{twice}' in two files; rename one.")
         return self.record(mesh, presses, path, "table")
@@ -63,7 +64,11 @@ class TableOptions(PointOptions):
         if names is None:
             groups = {sheet.path.stem: np.arange(len(sheet.lines))}
         else:
-            groups = {n: np.flatnonzero(np.array(names) == n) for n in dict.fromkeys(names)}
+            numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
+            of_row = np.array([numbers[name] for name in names])
+            ends = np.cumsum(np.bincount(of_row))[:-1]
+            rows_of = np.split(np.argsort(of_row, kind="stable"), ends)
+            groups = dict(zip(numbers, rows_of, strict=True))
             if "" in groups:
                 raise FileError(
                     f"'{sheet.path}' {sheet.lines[groups[''][0]]} names no press; fill in the "
@@ -81,7 +86,8 @@ class TableOptions(PointOptions):
         quantities: dict[str, Float[np.ndarray, " rows"]],
     ) -> PointData:
         def one(quantity: str) -> np.ndarray:
-            return quantities.get(quantity, np.full(len(sheet.lines), np.nan))[rows]
+            values = quantities.get(quantity)
+            return np.full(len(rows), np.nan) if values is None else values[rows]
 
         def three(letter: str) -> np.ndarray:
             return np.column_stack([one(component) for component in vector(letter)])

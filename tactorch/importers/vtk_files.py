@@ -3,12 +3,13 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from tactorch.budget import check_memory
+from tactorch.budget import check_memory, check_stored, read_content
 from tactorch.errors import FileError
 from tactorch.files import require_file
 from tactorch.mesh.formats.cells import Cells
@@ -17,6 +18,11 @@ from tactorch.mesh.io import reading
 
 SUFFIXES = (".vtu", ".vtk", ".vtp")
 _EXPANSION = 8  # bytes of memory for each of a file, in meshio
+_HEADER = re.compile(
+    rb"^[ \t]*(DIMENSIONS|POINTS|CELLS|CELL_TYPES|[XYZ]_COORDINATES)"
+    rb"((?:[ \t]+\d{1,18})+)", re.MULTILINE | re.IGNORECASE
+)  # fmt: skip
+_POINT = 400  # bytes in meshio for each point of a grid that DIMENSIONS states, with its cells
 #: Names that a field may have, in lower case without other characters.
 NAMES = {
     "displacement": ("u", "disp", "displ", "displacement", "displacements", "displacementvector"),
@@ -92,8 +98,7 @@ def read_vtk(path: str | Path) -> VtkFile:
     if suffix == ".vtk":
         import meshio
 
-        size = source.stat().st_size
-        check_memory(source, f"its content of {size / 1e6:.0f} MB", _EXPANSION * size)
+        _check_legacy(source)
         with reading(source, "vtk"):
             content = meshio.vtk.read(str(source))
         cells = [Cells(block.type, block.data.astype(np.int64)) for block in content.cells]
@@ -111,3 +116,14 @@ def read_vtk(path: str | Path) -> VtkFile:
     halves = four[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)  # of quadrangles
     triangles = np.vstack((three, halves))
     return VtkFile(source, points, tets, triangles, dict(fields), tuple(of_cells))
+
+
+def _check_legacy(source: Path) -> None:
+    """Refuse a file (.vtk) that states more than it holds, or than may be in memory."""
+    for key, words in _HEADER.findall(read_content(source, _EXPANSION)):
+        numbers, name = [int(word) for word in words.split()], key.decode().upper()
+        claim = f"{name} {' '.join(map(str, numbers))}"
+        if name == "DIMENSIONS":
+            check_memory(source, claim, _POINT * prod(numbers))
+        else:
+            check_stored(source, claim, max(numbers))

@@ -43,7 +43,7 @@ def dequantize(state: Mapping[str, Tensor], scales: Mapping[str, Tensor]) -> dic
     def restored(name: str, values: Tensor) -> Tensor:
         if name not in scales:
             return values.float()
-        return values.float() * scales[name].float().reshape(-1, *[1] * (values.ndim - 1))
+        return values.float() * scales[name].float().reshape(len(values), *[1] * (values.ndim - 1))
 
     return {name: restored(name, values) for name, values in state.items()}
 

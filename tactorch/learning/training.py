@@ -33,6 +33,7 @@ from tactorch.learning.loggers import LoggerOptions, TensorBoard, log_scores
 from tactorch.learning.quantization import decompress, dequantize
 
 LAST, BEST, CURVE = "last.ckpt", "best.ckpt", "curve.json"
+_LONG = 1000  # values of a setting, and characters of each
 _Network = TypeVar("_Network", bound="Network")
 
 
@@ -320,9 +321,7 @@ def read_checkpoint(path: Path) -> Mapping[str, Any]:
         with ZipFile(archive) as entries:
             check_archive(path, entries, 3.0)
         content = torch.load(decompress(archive), map_location="cpu", weights_only=True)
-        state = content["state_dict"]
-        # A tensor may repeat one number; the network has all of them.
-        check_memory(path, "its weights", 3.0 * 4.0 * _count(state))
+        _check_values(path, content)
     except TactorchError:
         raise
     except FileNotFoundError as error:
@@ -335,6 +334,21 @@ def read_checkpoint(path: Path) -> Mapping[str, Any]:
         ) from error
     assert isinstance(content, Mapping)
     return content
+
+
+def _check_values(path: Path, content: Mapping[str, Any]) -> None:
+    """Refuse weights that are not real and finite, and settings that are not plain and short."""
+    state, scales = content["state_dict"], content.get("scales", {})
+    # A tensor may repeat one number; the network has all of them.
+    check_memory(path, "its weights", 3.0 * 4.0 * (_count(state) + _count(scales)))
+    for name, values in [*scales.items(), *state.items()]:
+        if values.layout != torch.strided or values.is_complex() or not values.isfinite().all():
+            raise ValueError(f"{name} has values that are not real and finite")
+    for name, value in content.get("hyper_parameters", {}).items():
+        items = value if isinstance(value, list | tuple) else (value,)
+        plain = (isinstance(x, str | float | int | None) and len(repr(x)) <= _LONG for x in items)
+        if len(items) > _LONG or not all(plain):  # lists within others may be shared
+            raise ValueError(f"its setting {name} is no value or short list of values")
 
 
 def load_network(

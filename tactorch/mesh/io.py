@@ -154,12 +154,12 @@ def read_surface(path: str | Path, unit: str = "mm") -> tuple[Points, Triangles]
     name = _format(source, _SURFACE_FORMATS)
     with naming(source):
         with reading(source, name):
-            points, polygons = _SURFACE_READERS[name](source)
+            points, nodes, widths = _SURFACE_READERS[name](source)
         vertices = as_points(points, "vertices")
-        if not polygons:
+        if not len(widths):
             raise MeshError(_cloud(len(vertices), source))
         with _meshio(f"'{source}' cannot be read as {name}"):
-            triangles = triangulated(vertices, polygons)
+            triangles = triangulated(vertices, nodes, widths)
         # Files may have triangles that are lines already.
         faces = as_cells(_without_lines(triangles), 3, len(vertices), "triangles")
         merged = _without_lines(_first_of_same(vertices, source)[faces])

@@ -15,6 +15,7 @@ from tactorch.budget import check_memory, max_bytes
 from tactorch.errors import FileError
 from tactorch.files import read_yaml
 
+_COPIES = 3  # of a message, as rosbags decodes it
 _COMPUTED = re.compile(r"\bas\b|\bvirtual\b", re.IGNORECASE)
 
 
@@ -84,14 +85,16 @@ class _Unpacked:
 
 
 def _check_database(path: Path) -> None:
-    """Refuse views and computed columns, which may have rows without end."""
+    """Refuse long messages, and views and computed columns, which may have rows without end."""
     query = "SELECT name, type, sql FROM sqlite_master"
-    with suppress(sqlite3.Error):  # rosbags names what is wrong
-        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
-            parts = database.execute(query).fetchall()
-        for name, kind, text in parts:
+    address = f"{path.absolute().as_uri()}?mode=ro"
+    # rosbags names what is wrong.
+    with suppress(sqlite3.Error), closing(sqlite3.connect(address, uri=True)) as database:
+        for name, kind, text in database.execute(query).fetchall():
             if kind not in ("table", "index") or _COMPUTED.search(text or ""):
                 raise FileError(
                     f"bag '{path}': {kind} {name!r} is computed by the database, which is not "
                     "read; give the bag as ros2 bag record wrote it."
                 )
+        (longest,) = database.execute("SELECT max(length(data)) FROM messages").fetchone()
+        check_memory(f"bag '{path}'", f"a message of {longest} bytes", _COPIES * (longest or 0))

@@ -27,6 +27,7 @@ _NRRD_END = re.compile(rb"\r?\n[ \t]*\r?\n|\Z")
 _TYPE = re.compile("(met)?(u|unsigned|signed)?(char|longlong|long|short|int(8|16|32|64)?)(int)?t?")
 _SIZES = {"char": 1, "short": 2, "int": 4, "long": 8, "longlong": 8}
 _FLOATS = {"float": "f4", "metfloat": "f4", "double": "f8", "metdouble": "f8"}
+_PARTS = 32  # of a volume whose segments are found at once, which takes 16 bytes for each voxel
 _PACKED = ("gzip", "gz", "bzip2", "bz2")
 _UNITS = {
     "mm": "mm", "millimeter": "mm", "millimetre": "mm", "cm": "cm", "centimeter": "cm",
@@ -54,16 +55,16 @@ def read_nrrd(source: Path) -> Content:
     try:
         values = _data(source, fields, start)
         affine, domain = _place(fields, values.ndim)
-    except (ValueError, IndexError, OSError, EOFError, zlib.error) as error:
+        layers = [axis for axis in range(values.ndim) if axis not in domain]
+        if values.ndim > 3 and len(domain) == 3:
+            values = values.transpose(*domain, *layers)
+        labels, names = _segments(source, values, fields)
+    except (ValueError, IndexError, OSError, EOFError, OverflowError, zlib.error) as error:
         raise FileError(
             f"'{source}' cannot be read ({error}); copy it again from its source."
         ) from error
-    layers = [axis for axis in range(values.ndim) if axis not in domain]
-    if values.ndim > 3 and len(domain) == 3:
-        values = values.transpose(*domain, *layers)
     if not {"elementspacing", "elementsize", "spacings", "spacedirections"} & set(fields):
         _log.warning("'%s' does not state the size of its voxels: 1 is taken.", source)
-    labels, names = _segments(source, values, fields)
     return labels, affine, _unit(fields), names
 
 
@@ -233,12 +234,22 @@ def _segments(
     if values.ndim != 4 or not count:
         return values, dict(zip(numbers, names, strict=True))
     labels = np.zeros(values.shape[:-1], dtype=np.int32)
-    for i, number in enumerate(numbers):
-        inside = values[..., int(_first(fields, f"segment{i}_layer") or 0)] == number
-        if (labels[inside] != 0).any():
-            raise FileError(
-                f"'{source}' has segments that overlap, such as '{names[i]}'; export segments that "
-                "do not."
-            )
-        labels[inside] = i + 1
+    layers = np.array([int(_first(fields, f"segment{i}_layer") or 0) for i in range(count)])
+    stated, axis = np.array(numbers, dtype=np.int64), int(np.argmax(labels.shape))
+    order = np.argsort(stated, kind="stable")
+    for layer in np.unique(layers).tolist():
+        rows = order[layers[order] == layer]
+        known = stated[rows]
+        wrong = rows[1:][known[1:] == known[:-1]].tolist()
+        parts = (np.array_split(a, _PARTS, axis) for a in (values[..., layer], labels))
+        for part, label in zip(*parts, strict=True):
+            place = np.searchsorted(known, part).clip(max=len(known) - 1)
+            inside = known[place] == part
+            wrong += rows[place[inside & (label != 0)][:1]].tolist()
+            if wrong:
+                raise FileError(
+                    f"'{source}' has segments that overlap, such as '{names[wrong[0]]}'; export "
+                    "segments that do not."
+                )
+            label[inside] = rows[place[inside]] + 1
     return labels, dict(enumerate(names, start=1))

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tactorch.cli import plug_ins, schema
+from tactorch.cli import doctor, plug_ins, schema
 from tactorch.config import registry
 from tactorch.inverse import PRIORS
 
@@ -31,6 +31,7 @@ BROKEN = {
     "a_function": ("def plug(): pass", "plug_a_function:plug is no prior"),
     "raises": ("raise RuntimeError('broken\\nat import')", "(RuntimeError: broken at import)"),
     "absent": ("import a_package_that_is_absent", "(ModuleNotFoundError: No module named"),
+    "own_error": ("class E(BaseException): pass\nraise E('odd')", "(E: odd)"),
     "exits": ("import sys; sys.exit(3)", "(SystemExit: 3)"),
     "prints": ("print('hello'); raise ValueError('no')", "(ValueError: no)"),
     "unknown_type": (
@@ -141,6 +142,29 @@ def test_it_works_once_it_is_repaired(tactorch: Any, site: Path, recording_file:
 def test_a_name_of_tactorch_is_not_replaced(broken: Path) -> None:
     assert PRIORS["smoothness"].__module__.startswith("tactorch.")
     assert "smoothness" not in PRIORS.plugins()
+
+
+def test_damaged_distributions_are_named(tactorch: Any, site: Path) -> None:
+    for name in ("nameless", "damaged", "sound"):
+        install(site, name, SOUND)
+    nameless, damaged, sound = (
+        site / f"plug_{name}-1.0.dist-info" for name in ("nameless", "damaged", "sound")
+    )
+    (nameless / "METADATA").write_text("Metadata-Version: 2.1\nVersion: 1\n")
+    (damaged / "METADATA").write_bytes(b"\xff\xfe")
+    found = plug_ins.installed()
+    for place in (nameless, damaged):
+        name = place.name.removesuffix("-1.0.dist-info")
+        assert f"without a name in '{place}' ({name}:plug)" in found
+    assert "plug-sound (plug_sound:plug)" in found
+    (sound / "entry_points.txt").write_bytes(b"\xff\xfe[tactorch.regularization\n")
+    registry.entry_points.cache_clear()
+    done = tactorch("invert", "recording=a.h5")
+    assert done.status == 2
+    assert "entry_points.txt of the package plug-sound cannot be read" in done.err
+    (finding,) = doctor._plug_ins()
+    assert finding.works is False
+    assert "plug-sound" in finding.message
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import EntryPoint, EntryPoints
+from importlib.metadata import EntryPoint
 from typing import Any
 
 import pytest
@@ -20,11 +20,11 @@ def test_installed_packages_are_searched_once(monkeypatch: pytest.MonkeyPatch) -
     """The name of a component is looked up for each press that is saved."""
     searches = []
 
-    def search() -> EntryPoints:
+    def search() -> tuple[()]:
         searches.append(1)
-        return EntryPoints()
+        return ()
 
-    monkeypatch.setattr(module.metadata, "entry_points", search)
+    monkeypatch.setattr(module.metadata, "distributions", search)
     monkeypatch.setattr(module, "entry_points", cache(module.entry_points.__wrapped__))
     monkeypatch.setattr(module, "REGISTRIES", {})
     for section in ("shapes", "bodies"):

@@ -1,6 +1,7 @@
 """Tables of displacements and forces at points, and errors of wrong files."""
 
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from tactorch.errors import ConfigError, FileError, MeshError, RecordingError, T
 from tactorch.importers import import_table
 from tactorch.importers.loads import consistent_loads
 from tactorch.importers.quantities import parse
+from tactorch.importers.sheets import read_sheet
+from tactorch.importers.table import TableOptions
 from tactorch.recording import Press, Recording
 
 from .conftest import write_rows
@@ -39,6 +42,18 @@ def test_nodes_give_the_presses_back(
     assert [press.name for press in recording.presses] == ["1", "2"]
     assert recording.presses[0].noise_mm == 0.01
     assert recording.presses[0].direction == pytest.approx([0.0, 0.0, -1.0])
+
+
+def test_many_presses_and_long_names_take_little(tmp_path: Path, body: Path) -> None:
+    """Time and memory grow with the rows, not with their square or the longest name."""
+    lines = [f"p{i % 1000},{i // 1000},0,0,0.01,0,0,0.1" for i in range(2000)]
+    head = "press,node,ux,uy,uz,fx,fy,fz\n"
+    (tmp_path / "a.csv").write_text(head + "\n".join([f"{'a' * 50_000},0,0,0,0,0,0,0", *lines]))
+    sheet, start = read_sheet(tmp_path / "a.csv"), time.perf_counter()
+    presses = TableOptions(mesh=body)._read(sheet, False)
+    assert time.perf_counter() - start < 2.0
+    assert [data.name for data in presses[1:]] == [f"p{i}" for i in range(1000)]
+    np.testing.assert_array_equal([data.nodes for data in presses[1:]], [[0, 1]] * 1000)
 
 
 def test_positions_of_nodes_files_units_and_names(

@@ -330,3 +330,11 @@ def test_results_written_by_the_library_are_read(tmp_path: Path, simulated: Reco
     data = {"displacement": displacement, "force": force}
     write_mesh(tmp_path / "a.vtu", simulated.mesh, point_data=data)
     assert_same(import_vtk(tmp_path / "a.vtu"), simulated.select([0]))
+
+
+@pytest.mark.parametrize("stated", ["POINTS 400000000 double", "CELLS 300000000 4"])
+def test_a_header_that_states_more_than_the_file_is_refused(tmp_path: Path, stated: str) -> None:
+    head = "# vtk DataFile Version 3.0\na\nASCII\nDATASET UNSTRUCTURED_GRID\n"
+    (tmp_path / "a.vtk").write_text(f"{head}{stated}\n0 0 0\n")
+    with pytest.raises(FileError, match=f"{stated.removesuffix(' double')} take"):
+        read_vtk(tmp_path / "a.vtk")

@@ -2,10 +2,12 @@
 
 import io
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
+from tactorch.errors import FileError
 from tactorch.learning.quantization import compress, decompress, dequantize, quantize
 from tactorch.learning.training import read_checkpoint
 
@@ -49,3 +51,34 @@ def test_archives(state: dict[str, torch.Tensor], tmp_path: Path) -> None:
     for name in ("small.pt", "plain.pt"):
         read = read_checkpoint(tmp_path / name)["state_dict"]["w"]
         assert torch.equal(read, content["state_dict"]["w"])
+
+
+def shared_lists() -> list[Any]:
+    lists: list[Any] = ["x"] * 9
+    for _ in range(9):
+        lists = [lists] * 9
+    return lists
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"scales": {"w": torch.zeros(1).half().expand(10**10)}}, "too large: its weights"),
+        ({"scales": {"w": torch.full((4,), torch.nan)}}, "w has values that are not real and"),
+        ({"scales": ["x"]}, "damaged or no checkpoint"),
+        ({"hyper_parameters": {"rate": shared_lists()}}, "its setting rate is no value or short"),
+        ({"state_dict": {"w": torch.ones(4, dtype=torch.complex64)}}, "w has values that are not"),
+        ({"state_dict": {"w": torch.tensor([torch.inf])}}, "w has values that are not real and"),
+        ({"state_dict": {"w": torch.eye(4).to_sparse()}}, "w has values that are not real and"),
+    ],
+)
+def test_hostile_values_are_refused(tmp_path: Path, changed: dict[str, Any], message: str) -> None:
+    content = {"state_dict": {"w": torch.zeros(4, 2)}, "hyper_parameters": {"rate": 0.1}}
+    torch.save({**content, **changed}, tmp_path / "a.pt")
+    with pytest.raises(FileError, match=message):
+        read_checkpoint(tmp_path / "a.pt")
+
+
+def test_scales_have_one_value_for_each_channel() -> None:
+    with pytest.raises(RuntimeError):
+        dequantize({"w": torch.ones(1, 3)}, {"w": torch.ones(1000)})

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from tactorch.errors import FileError, MeshError, TactorchError
 from tactorch.mesh import Box, Sphere, TetMesh, box_mesh, read_mesh, read_surface
 from tactorch.mesh.checks import closed_surface
 from tactorch.mesh.decimate import MAX_DISTANCE, decimated
+from tactorch.mesh.formats import surfaces
 from tactorch.mesh.formats.cells import SOLIDS, Cells, MeshFile, as_tets, split
 from tactorch.mesh.formats.groups import regions_of_groups
 from tactorch.mesh.geometry import enclosed_volume
@@ -174,9 +176,19 @@ def test_groups_that_overlap(caplog: pytest.LogCaptureFixture) -> None:
     found = regions_of_groups({1: every[:6], 2: every[4:]}, one, names, "m.msh")
     assert "not clear which divide the body" in caplog.text
     assert regions_of_groups({1: every[:0]}, one, names, "m.msh") is None
+    with pytest.raises(MeshError, match="it has 100001 groups or sets; write 100000"):
+        regions_of_groups(dict.fromkeys(range(100_001), every), one, names, "m.msh")
     nested = {1: every, 2: every[2:], 3: every[4:], 4: every}
     found = regions_of_groups(nested, one, names, "m.msh")
     np.testing.assert_array_equal(found, [1, 1, 2, 2, 3, 3, 3, 3])
+
+
+@pytest.mark.parametrize("section", ["Nodes", "Elements", "Entities"])
+def test_many_blocks_of_gmsh_are_refused(tmp_path: Path, section: str) -> None:
+    text = f"$MeshFormat\n4.1 0 8\n$EndMeshFormat\n${section}\n200001 4 1 4\n$End{section}\n"
+    (tmp_path / "m.msh").write_text(text)
+    with pytest.raises(FileError, match="it has 200001 blocks"):
+        read_mesh(tmp_path / "m.msh")
 
 
 NODES = "$Nodes\n1\n1 0 0 0\n$EndNodes\n"
@@ -403,6 +415,14 @@ def test_what_abaqus_files_may_not_state(
         read_mesh(inp(tmp_path / "m.inp", *lines))
 
 
+def test_includes_of_includes_are_counted(tmp_path: Path) -> None:
+    for i in range(3):
+        (tmp_path / f"{i}.inp").write_text(f"*INCLUDE, INPUT={i + 1}.inp\n" * 11)
+    (tmp_path / "3.inp").write_text("")
+    with pytest.raises(FileError, match="includes more than 1000 files"):
+        read_mesh(tmp_path / "0.inp")
+
+
 def test_included_files_in_the_folder(tmp_path: Path) -> None:
     whole = inp(tmp_path / "whole.inp").read_text().split("*Element", 1)
     (tmp_path / "sub").mkdir()
@@ -591,6 +611,62 @@ def test_polygons_are_divided(tmp_path: Path, corners: list[tuple], area: float)
     halves = np.linalg.norm(np.cross(*np.diff(points[faces], axis=1).swapaxes(0, 1)), axis=1) / 2
     ends = np.ptp(points[faces][..., 2], axis=1) == 0.0
     assert halves[ends].sum() == pytest.approx(2.0 * area)
+
+
+@pytest.mark.parametrize("suffix", ["ply", "obj"])
+def test_faces_of_different_widths_keep_their_order(tmp_path: Path, suffix: str) -> None:
+    """Quickly: exports of modelling programs have triangles among quadrangles."""
+    side, count = 100, 99 * 99
+    points = np.column_stack((*np.divmod(np.arange(side**2), side), np.zeros(side**2)))
+    first = np.add.outer(side * np.arange(side - 1), np.arange(side - 1)).ravel()
+    square = first[:, None] + [0, side, side + 1, 1]
+    faces = [[*row] if i % 2 else [*row[:3]] for i, row in enumerate(square.tolist())]
+    if suffix == "ply":
+        lines = ["ply", "format ascii 1.0", f"element vertex {side**2}"]
+        lines += [f"property float {axis}" for axis in "xyz"] + [f"element face {count}"]
+        lines += ["property list uchar int vertex_indices", "end_header", *rows(points)]
+        lines += [" ".join(map(str, (len(face), *face))) for face in faces]
+    else:
+        lines = [f"v {row}" for row in rows(points)]
+        lines += ["f " + " ".join(str(k + 1) for k in face) for face in faces]
+    (tmp_path / f"s.{suffix}").write_text("\n".join(lines) + "\n")
+    start = time.perf_counter()
+    found, triangles = read_surface(tmp_path / f"s.{suffix}")
+    assert time.perf_counter() - start < 0.4
+    expected = [
+        face[i] for face in faces for i in ((0, 1, 2, 0, 2, 3) if len(face) > 3 else (0, 1, 2))
+    ]
+    used = np.unique(expected)
+    np.testing.assert_array_equal(found[triangles].reshape(-1, 3), points[expected])
+    assert len(found) == len(used)
+
+
+# Faces without vertices among those of one.
+SHORT_ROWS = (
+    "ply\nformat binary_little_endian 1.0\nelement face 202\n"
+    "property list uchar int vertex_indices\nend_header\n" + "\0\1\0\0\0\0" * 101
+)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "content", "message"),
+    [
+        ("stl", "solid\n" + "\n" * 6_000_000 + "endsolid\n", "cannot be read"),
+        ("obj", "v 0 0 0\n" + "\n" * 6_000_000, "1 points and no faces"),
+        ("ply", SHORT_ROWS, "more than 100 rows that differ"),
+        ("obj", "v 0 0 0\n" * 101, "line 101: it has more than 100 vertices and faces"),
+        ("obj", "v 0 0 0\nf" + " 1" * 50_000, "faces have up to 50000 vertices, whose division"),
+    ],
+)
+def test_what_would_take_long_is_refused_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, content: str, message: str
+) -> None:
+    monkeypatch.setattr(surfaces, "_MAX_ROWS", 100)
+    (tmp_path / f"s.{suffix}").write_text(content)
+    start = time.perf_counter()
+    with pytest.raises(TactorchError, match=message):
+        read_surface(tmp_path / f"s.{suffix}")
+    assert time.perf_counter() - start < 0.4
 
 
 def test_vertices_that_differ_by_rounding_are_merged(

@@ -1,6 +1,7 @@
 """NRRD and MetaImage against NIfTI of the same body, as 3D Slicer and ITK write them."""
 
 import gzip
+import time
 from pathlib import Path
 
 import numpy as np
@@ -116,6 +117,31 @@ def test_segments_of_slicer_have_names(tmp_path: Path) -> None:
     layers[0] |= layers[1]
     with pytest.raises(FileError, match="segments that overlap, such as 'hard, lump'"):
         read_volume(nrrd(tmp_path / "o.seg.nrrd", layers, np.eye(4), *lines))
+
+
+def test_many_segments_take_one_pass(tmp_path: Path) -> None:
+    """Segments of any labels, in two layers; a label of two segments is one that overlaps."""
+    values = np.zeros((2, 120, 120, 120), dtype=np.uint8)
+    values[0, 1, 1, 1:120] = np.arange(119)[::-1]
+    values[1, 2, 2, 1:120] = np.arange(119)
+    lines = [
+        line
+        for i in range(238)
+        for line in (f"Segment{i}_LabelValue:={i % 119}", f"Segment{i}_Layer:={i // 119}")
+    ]
+    lines = [line.replace("Value:=0", "Value:=200") for line in lines]
+    start = time.perf_counter()
+    volume = read_volume(nrrd(tmp_path / "a.nrrd", values, np.eye(4), *lines))
+    assert time.perf_counter() - start < 0.5
+    np.testing.assert_array_equal(volume.labels[1, 1, 1:119], np.arange(119, 1, -1))
+    np.testing.assert_array_equal(volume.labels[2, 2, 2:120], np.arange(121, 239))
+    assert np.count_nonzero(volume.labels) == 2 * 118
+    same = [line.replace("Value:=7", "Value:=8") for line in lines]
+    with pytest.raises(FileError, match="segments that overlap, such as 'segment"):
+        read_volume(nrrd(tmp_path / "b.nrrd", values, np.eye(4), *same))
+    for line in ("Segment0_Layer:=9", "Segment0_LabelValue:=x", f"Segment0_LabelValue:={10**30}"):
+        with pytest.raises(FileError, match=r"c\.nrrd' cannot be read"):
+            read_volume(nrrd(tmp_path / "c.nrrd", values, np.eye(4), line, *lines))
 
 
 @pytest.mark.parametrize("skip", ["byte skip: -1", "byte skip: 7", "line skip: 1"])

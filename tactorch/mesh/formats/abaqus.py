@@ -18,6 +18,7 @@ from tactorch.mesh.formats.numbers import places
 
 _EXPANSION = 16  # bytes of memory for each of the file
 _DEPTH = 10  # of files that include one another
+_INCLUDED = 1000  # files
 _INPUT = re.compile(r"\*\s*(INCLUDE|NODE|ELEMENT|ELSET)\b.*?,\s*INPUT\s*=\s*([^,]+)", re.IGNORECASE)
 _TYPE = re.compile(r"(?:[A-Z]*C3D|F3D|SC|CSS)(\d+)[A-Z]*$")
 _SHAPE = {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron", 10: "tetra", 13: "pyramid"}
@@ -93,7 +94,7 @@ def _key(name: str) -> str:
 def _keywords(path: Path) -> Iterator[_Keyword]:
     """Return the keywords of a file and those that it includes; names are in capitals."""
     current: _Keyword | None = None
-    for line in _lines(path, path.resolve().parent, (), [0]):
+    for line in _lines(path, path.resolve().parent, (), []):
         if not line.startswith("*"):
             if current is not None:
                 current.data.append(line)
@@ -109,10 +110,12 @@ def _keywords(path: Path) -> Iterator[_Keyword]:
 
 
 def _lines(path: Path, folder: Path, outer: tuple[Path, ...], read: list[int]) -> Iterator[str]:
-    """Return lines without comments; `read` counts the bytes of all files."""
+    """Return lines without comments; `read` lists the bytes of each file."""
     content = read_content(path, _EXPANSION)
-    read[0] += len(content)
-    check_memory(outer[0] if outer else path, "the files it includes", _EXPANSION * read[0])
+    read.append(len(content))
+    if len(read) > _INCLUDED:
+        raise FileError(f"'{outer[0]}' includes more than {_INCLUDED} files; write one file.")
+    check_memory(outer[0] if outer else path, "the files it includes", _EXPANSION * sum(read))
     chain = (*outer, path.resolve())
     lines = iter(content.decode("utf-8", errors="replace").splitlines())
     for text in lines:

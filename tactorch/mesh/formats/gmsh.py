@@ -36,6 +36,7 @@ _FIRST = (2, 3, 4, 4, 8, 6, 5, 3, 6, 9, 10, 27, 18, 14, 1, 8, 20, 15, 13, 9, 10,
 _WIDTH = dict(enumerate((*_FIRST, 4, 5, 6, 20, 35, 56), start=1)) | {92: 64, 93: 125}
 _SECTION = re.compile(rb"^\$([A-Za-z]\w*)[ \t]*\r?\n", re.MULTILINE)
 _REGION = "region"
+_MAX_BLOCKS = 200_000  # of nodes or elements, or entities of each dimension, which take 10 s
 _MAX_TAGS = 100_000  # of an element; one for each part of a mesh that is divided
 _EXPANSION = 8  # bytes of memory for each of the file
 
@@ -96,6 +97,12 @@ class _Numbers:
     def one(self, kind: str = "n") -> int:
         """Return one whole number."""
         return int(self.take(kind)[0, 0])
+
+    def blocks(self) -> int:
+        """Return how many blocks or entities follow, if these are not too many."""
+        if (count := self.one()) > _MAX_BLOCKS:
+            raise ValueError(f"it has {count} blocks or entities; write {_MAX_BLOCKS} or fewer")
+        return count
 
     def list(self, kind: str = "i") -> list[int]:
         """Return integers whose number is stated before them."""
@@ -189,7 +196,7 @@ def _read_entities(numbers: _Numbers, parts: bool, version: float, content: _Con
     if parts:
         numbers.one()
         numbers.take("ii", numbers.one())
-    counts = [numbers.one() for _ in range(4)]
+    counts = [numbers.blocks() for _ in range(4)]
     for dimension, count in enumerate(counts):
         for _ in range(count):
             tag = numbers.one("i")
@@ -205,7 +212,7 @@ def _read_entities(numbers: _Numbers, parts: bool, version: float, content: _Con
 
 
 def _read_nodes_4(numbers: _Numbers, version: float, content: _Content) -> None:
-    blocks, *_ = (numbers.one() for _ in range(4 if version > 4.0 else 2))
+    blocks, _ = numbers.blocks(), numbers.take("n" * (3 if version > 4.0 else 1))
     for _ in range(blocks):
         first, second, parametric = numbers.take("iii")[0].astype(int)
         dimension = int(first if version > 4.0 else second)
@@ -275,7 +282,7 @@ def _runs(
 
 
 def _read_elements_4(numbers: _Numbers, version: float, content: _Content) -> None:
-    blocks, *_ = (numbers.one() for _ in range(4 if version > 4.0 else 2))
+    blocks, _ = numbers.blocks(), numbers.take("n" * (3 if version > 4.0 else 1))
     integer = "n" if version > 4.0 else "i"
     for _ in range(blocks):
         first, second, kind = (int(x) for x in numbers.take("iii")[0])

@@ -7,7 +7,10 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float, Int
 
+from tactorch.errors import MeshError
+
 _log = logging.getLogger(__name__)
+_MOST = 100_000  # groups, which take seconds
 _MANY = 10  # groups of which all combinations are tried
 _SHOWN = 6  # groups that a message lists
 
@@ -32,7 +35,12 @@ def regions_of_groups(
 
     Returns:
         None where no element has a group.
+
+    Raises:
+        MeshError: There are too many groups.
     """
+    if len(members) > _MOST:
+        raise MeshError(f"it has {len(members)} groups or sets; write {_MOST} or fewer.")
     groups = {number: np.unique(rows) for number, rows in members.items() if len(rows)}
     if not groups:
         return None

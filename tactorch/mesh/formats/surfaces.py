@@ -2,9 +2,11 @@
 
 import codecs
 import re
+import struct
+from array import array
 from collections.abc import Callable
-from itertools import groupby
 from pathlib import Path
+from struct import Struct, unpack_from
 
 import numpy as np
 from jaxtyping import Int
@@ -13,8 +15,8 @@ from tactorch.budget import read_content
 from tactorch.mesh.formats.numbers import parse_numbers
 from tactorch.mesh.values import Points, Triangles
 
-#: Vertices, and faces in their order: each array has those of equally many vertices.
-Polygons = tuple[Points, list[np.ndarray]]
+#: Positions of vertices; the vertices of each face, one face after another; and their numbers.
+Polygons = tuple[Points, Int[np.ndarray, " v"], Int[np.ndarray, " f"]]
 _EXPANSION = 8  # bytes of memory for each of the file
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _HEADER = 84  # bytes before the triangles of a binary STL file
@@ -28,7 +30,11 @@ _TYPES = {
     for name in names.split()
 }  # fmt: skip
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-_PIECE = 64  # rows that are read at first, as they may differ in length
+_VERTEX = re.compile(rb"\s*(?:vertex([^\r\n]*)|[^\r\n]*)", re.IGNORECASE)  # of STL
+# A line of OBJ with the empty ones before it; "^" would be tried at each of these.
+_LINE = re.compile(r"\s*(?:([vf])(?!\S)([^#\r\n]*)|[^\r\n]*)")
+_MAX_ROWS = 4_000_000  # vertices and faces that are read one by one, which takes 10 s
+_MAX_SQUARES = 2_000_000_000  # sum over polygons, whose division then takes 10 s
 
 
 def read_stl(path: Path) -> Polygons:
@@ -40,9 +46,7 @@ def read_stl(path: Path) -> Polygons:
     if not whole and re.match(rb"\s*solid\b", content, re.IGNORECASE):
         if not re.search(rb"end\s*solid[^\r\n]*\s*$", content[-1000:], re.IGNORECASE):
             raise ValueError("it has no line 'endsolid' at its end")
-        lines = (line.strip() for line in content.splitlines())
-        words = b" ".join(line[6:] for line in lines if line[:6].lower() == b"vertex")
-        corners = parse_numbers(words).reshape(-1, 3)
+        corners = parse_numbers(b" ".join(_VERTEX.findall(content))).reshape(-1, 3)
     else:
         if len(content) < _HEADER + _TRIANGLE.itemsize * count:
             raise ValueError(f"it states {count} triangles, and has {len(content)} bytes")
@@ -50,7 +54,7 @@ def read_stl(path: Path) -> Polygons:
             np.frombuffer(content, _TRIANGLE, count, _HEADER) if count else np.zeros(0, _TRIANGLE)
         )
         corners = table["corners"].reshape(-1, 3).astype(np.float64)
-    return corners, [np.arange(len(corners)).reshape(-1, 3)]
+    return corners, np.arange(len(corners)), np.full(len(corners) // 3, 3)
 
 
 def read_obj(path: Path) -> Polygons:
@@ -59,29 +63,33 @@ def read_obj(path: Path) -> Polygons:
     meshio refuses files whose texture or normal lists differ in length from the vertex list, which
     is most files that have any.
     """
-    vertices: list[list[float]] = []
-    faces: list[list[int]] = []
+    vertices, nodes, widths = array("d"), array("q"), array("q")
     text = read_content(path, 2 * _EXPANSION).decode("utf-8", errors="replace")
     text = re.sub(r"\\[ \t]*\r?\n", " ", text)  # a line may go on in the next one
-    for number, line in enumerate(text.splitlines(), start=1):
-        key, *fields = line.split("#")[0].split() or [""]
+    for line in _LINE.finditer(text):
+        if line[1] is None:
+            continue
         try:
-            if key == "v":
+            count = len(vertices) // 3
+            if count + len(widths) >= _MAX_ROWS:
+                raise ValueError(f"it has more than {_MAX_ROWS} vertices and faces; write fewer")
+            fields = line[2].split()
+            if line[1] == "v":
                 if len(fields) < 3:
                     raise ValueError(f"a vertex needs three coordinates, not {len(fields)}")
-                vertices.append([float(field) for field in fields[:3]])
-            elif key == "f":
+                vertices.extend([float(field) for field in fields[:3]])
+            elif len(fields) > 2:
                 # Vertices count from 1, or back from the latest from -1.
                 indices = [int(field.split("/")[0]) for field in fields]
-                for index in indices:
-                    if index == 0 or index < -len(vertices):
-                        raise ValueError(f"there is no vertex {index}")
-                if len(indices) > 2:
-                    faces.append([i - 1 if i > 0 else len(vertices) + i for i in indices])
+                if (least := min(indices)) < -count or 0 in indices:
+                    raise ValueError(f"there is no vertex {min(least, 0)}")
+                nodes.extend([i - 1 if i > 0 else count + i for i in indices])
+                widths.append(len(indices))
         except ValueError as error:
+            number = text.count("\n", 0, line.start(1)) + 1
             raise ValueError(f"line {number}: {error}") from error
-    runs = [np.array(list(run), dtype=np.int64) for _, run in groupby(faces, key=len)]
-    return np.array(vertices, dtype=np.float64).reshape(-1, 3), runs
+    points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
+    return points, np.array(nodes, dtype=np.int64), np.array(widths, dtype=np.int64)
 
 
 def read_ply(path: Path) -> Polygons:
@@ -98,22 +106,22 @@ def read_ply(path: Path) -> Polygons:
             (name, count, [(key, "f8", number and "f8") for key, _, number in properties])
             for name, count, properties in elements
         ]
-    points, faces = np.zeros((0, 3)), []
+    found: dict[str, _Values] = {}
     place = 0
     for name, count, properties in elements:
-        place, tables = _ply_rows(data, place, name, count, properties, order)
-        for table in tables:
-            fields = table.dtype.names or ()
-            if name == "vertex" and {"x", "y", "z"}.issubset(fields):
-                rows = np.column_stack([table[axis].astype(np.float64) for axis in "xyz"])
-                points = np.concatenate((points, rows)) if len(points) else rows
-            key = next((f for f in fields if f in ("vertex_indices", "vertex_index")), None)
-            if name == "face" and key is not None and table[key].shape[1] > 2:
-                faces.append(table[key].astype(np.int64))
-    return points, faces
+        wanted = _WANTED.get(name, ())
+        place = _ply_rows(data, place, name, count, properties, order, wanted, found)
+    axes = [found[axis][0].astype(np.float64) for axis in "xyz" if axis in found]
+    points = np.column_stack(axes) if len(axes) == 3 else np.zeros((0, 3))
+    nodes, widths = next((found[key] for key in _WANTED["face"] if key in found), (_NONE, _NONE))
+    nodes = nodes.astype(np.int64)[np.repeat(widths, widths) > 2]
+    return points, nodes, widths[widths > 2]
 
 
 _Property = tuple[str, str, str | None]  # name, type, and type of the number of a list's items
+_Values = tuple[np.ndarray, np.ndarray]  # one after another, and how many are in each row
+_WANTED = {"vertex": ("x", "y", "z"), "face": ("vertex_indices", "vertex_index")}
+_NONE = np.zeros(0, dtype=np.int64)
 
 
 def _ply_header(text: str) -> tuple[str, list[tuple[str, int, list[_Property]]]]:
@@ -134,27 +142,55 @@ def _ply_header(text: str) -> tuple[str, list[tuple[str, int, list[_Property]]]]
 
 
 def _ply_rows(
-    data: bytes, place: int, name: str, count: int, properties: list[_Property], order: str
-) -> tuple[int, list[np.ndarray]]:
-    """Return the end of an element's rows, and these as tables with lists of the same lengths."""
-    tables: list[np.ndarray] = []
-    done, piece = 0, _PIECE
-    while done < count:
-        if not properties:
-            raise ValueError(f"the header states {count} rows of {name} without properties")
-        kind = _ply_row(data, place, properties, order)
-        rows = min(piece, count - done, (len(data) - place) // max(kind.itemsize, 1))
-        if not rows:
-            raise ValueError(f"the header states {count} rows of {name}, and the file has {done}")
-        table = np.frombuffer(data, kind, rows, place)
-        same = np.ones(rows, dtype=bool)
-        for key in (key for key in kind.names or () if key.startswith("number of ")):
-            same &= table[key] == table[key][0]
-        rows = rows if same.all() else int(same.argmin())
-        piece = 2 * piece if same.all() else _PIECE
-        tables.append(table[:rows])
-        done, place = done + rows, place + rows * kind.itemsize
-    return place, tables
+    data: bytes, place: int, name: str, count: int, properties: list[_Property], order: str,
+    wanted: tuple[str, ...], found: dict[str, _Values],
+) -> int:  # fmt: skip
+    """Add the values of the wanted properties of an element, and return the end of its rows."""
+    if count and not properties:
+        raise ValueError(f"the header states {count} rows of {name} without properties")
+    if not count:
+        return place
+    kind = _ply_row(data, place, properties, order)
+    if place + count * kind.itemsize <= len(data):
+        table = np.frombuffer(data, kind, count, place)
+        numbers = [key for key in kind.names or () if key.startswith("number of ")]
+        if all((table[key] == table[key][0]).all() for key in numbers):
+            for key in {*wanted}.intersection(kind.names or ()):
+                found[key] = table[key].ravel(), np.full(count, table[key][0].size)
+            return place + table.nbytes
+    lists = {key: (array("d"), array("q")) for key, *_ in properties if key in wanted}
+    try:
+        if (place := _ply_lists(data, place, count, properties, order, lists)) > len(data):
+            raise struct.error
+    except struct.error as error:
+        raise ValueError(f"the header states {count} rows of {name}, and it has fewer") from error
+    found |= {key: (np.array(x), np.array(n, np.int64)) for key, (x, n) in lists.items()}
+    return place
+
+
+def _ply_lists(
+    data: bytes, place: int, count: int, properties: list[_Property], order: str,
+    found: dict[str, tuple["array[float]", "array[int]"]],
+) -> int:  # fmt: skip
+    """Add the values of rows whose lists differ in length, and return their end."""
+    steps = [(key, np.dtype(code), n and Struct(order + np.dtype(n).char))
+             for key, code, n in properties]  # fmt: skip
+    for row in range(count):
+        if row >= _MAX_ROWS:
+            raise ValueError(f"it has more than {_MAX_ROWS} rows that differ; write triangles")
+        for key, kind, number in steps:
+            length = 1
+            if number:
+                length = int(number.unpack_from(data, place)[0])
+                place += number.size
+            if length < 0 or length**2 > _MAX_SQUARES:
+                raise ValueError(f"a list of {key} states {length} items")
+            if key in found:
+                values, widths = found[key]
+                values.extend(unpack_from(f"{order}{length}{kind.char}", data, place))
+                widths.append(length)
+            place += length * kind.itemsize
+    return place
 
 
 def _ply_row(data: bytes, place: int, properties: list[_Property], order: str) -> np.dtype:
@@ -178,13 +214,28 @@ def _ply_row(data: bytes, place: int, properties: list[_Property], order: str) -
     return np.dtype(fields) if complete else np.dtype(f"V{len(data) + 1}")
 
 
-def triangulated(points: Points, faces: list[np.ndarray]) -> Int[np.ndarray, "t 3"]:
-    """Return triangles, in the order of the faces, which have equally many vertices per array.
+def triangulated(
+    points: Points, nodes: Int[np.ndarray, " v"], widths: Int[np.ndarray, " f"]
+) -> Int[np.ndarray, "t 3"]:
+    """Return triangles, in the order of the faces; see `Polygons`.
 
     Raises:
-        ValueError: A polygon cannot be divided: it is not flat, or its sides cross.
+        ValueError: A polygon cannot be divided: it is not flat, or its sides cross; or this takes
+            too long.
     """
-    return np.concatenate([_DIVISIONS.get(run.shape[1], _polygons)(points, run) for run in faces])
+    if (squares := widths.astype(np.float64) ** 2)[widths > 4].sum() > _MAX_SQUARES:
+        raise ValueError(
+            f"its faces have up to {widths.max()} vertices, whose division takes too long ("
+            f"{squares.sum():.1e} for their squares, of {_MAX_SQUARES:.0e}); write triangles"
+        )
+    starts = np.cumsum(widths) - widths
+    parts, faces = [], []
+    for width in np.unique(widths).tolist():
+        same = np.flatnonzero(widths == width)
+        rows = nodes[starts[same, None] + np.arange(width)]
+        parts.append(_DIVISIONS.get(width, _polygons)(points, rows))
+        faces.append(np.repeat(same, width - 2))
+    return np.concatenate(parts)[np.argsort(np.concatenate(faces), kind="stable")]
 
 
 def _quads(points: Points, quads: Int[np.ndarray, "k 4"]) -> Int[np.ndarray, "t 3"]:

@@ -141,7 +141,8 @@ class _Arrays:
             raise FileError(
                 f"'{path}' is compressed by {name}; save it with zlib, or uncompressed."
             )
-        self._unpack = partial(Unpacking(path, _COPIES).part, _UNPACKERS[name]) if name else None
+        self._parts = Unpacking(path, _COPIES)
+        self._unpack = partial(self._parts.part, _UNPACKERS[name]) if name else None
 
     def of(self, piece: ElementTree.Element) -> dict[str, dict[str, np.ndarray]]:
         """Return the arrays of numbers of a piece, by section and name.
@@ -200,6 +201,7 @@ class _Arrays:
 
         size = sizes(1)[0]
         if self._unpack is None:
+            self._parts.add(min(size, len(content)))
             if encoded and content[-(-item // 3) * 4 - 1] != ord("="):  # encoded together
                 return bytes(part(0, item + size)[item:])
             return bytes(part(item, size))
