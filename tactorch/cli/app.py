@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from tactorch.cli import console
 from tactorch.cli.compose import SEARCH_PACKAGE, build_options, store_config
-from tactorch.cli.existing import CONTINUING, Replaced, check_file, check_run_folder
+from tactorch.cli.existing import (
+    CONTINUING,
+    WRITING_FOLDERS,
+    Replaced,
+    check_file,
+    check_run_folder,
+)
 from tactorch.cli.overrides import (
     check_overrides,
     check_required,
@@ -63,6 +69,7 @@ class App:
             if not (flags.cfg or flags.hydra_help or flags.info):
                 check_required(self._schema, settings)
                 check_run_folder(command, settings)
+        self._is_only_shown = bool(flags.cfg or flags.hydra_help or flags.info)
         self._swept = swept(self._schema, settings) if flags.multirun else set()
         self._unnamed = {key_of(word) for word in settings} - self._swept
         self._jobs: list[Job] = []
@@ -82,7 +89,7 @@ class App:
         """
         import hydra
 
-        replaced = Replaced(self.command, self._arguments)
+        replaced = Replaced(self.command, [] if self._is_only_shown else self._arguments)
         command_line, debug = sys.argv, os.environ.get(_DEBUG)
         # A log file that cannot be written is no reason for a traceback among the messages.
         logging.raiseExceptions = debug == "1"
@@ -94,6 +101,7 @@ class App:
             hydra.main(version_base="1.3", config_path=path, config_name=name)(self.job)()
             summarize(self._jobs)
         except KeyboardInterrupt:
+            replaced.restore(interrupted=True)
             message = f"tactorch {self.command}: interrupted"
             if self._place is not None and has_state(self.command, self._place):
                 run = Path(os.path.relpath(self._place))
@@ -103,6 +111,7 @@ class App:
             print(message, file=sys.stderr)
             sys.exit(console.INTERRUPTED)
         except Exception as error:
+            replaced.restore()
             if debug == "1" or self._started:
                 raise
             fail(_composition_error(error), self.command)
@@ -175,7 +184,7 @@ class App:
                 "out='x-${seed}.h5', or leave it out: each job has its own folder."
             )
         self._outputs.add(path)
-        if self.command not in CONTINUING:  # whose output is a folder
+        if self.command not in WRITING_FOLDERS:
             check_file(Path(out), overwrite)
 
 

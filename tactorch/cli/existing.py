@@ -4,6 +4,8 @@ import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from stat import S_ISREG
+from types import MappingProxyType
 
 from tactorch.cli.compose import compose_options
 from tactorch.cli.overrides import given
@@ -13,6 +15,8 @@ from tactorch.errors import ConfigError, FileError
 
 #: Commands that continue what their run folder, or their output, holds.
 CONTINUING = ("live", "generate", "reproduce")
+#: Commands whose `out` is a folder, which they check themselves.
+WRITING_FOLDERS = ("generate", "reproduce", "sensor unpack")
 _SHOWN = 3  # results in a message
 
 
@@ -50,9 +54,7 @@ def check_run_folder(command: str, words: Sequence[str]) -> None:
     typed = given(words)
     if "run_dir" not in typed:
         return
-    folder = Path(typed["run_dir"])
-    if "${" in typed["run_dir"] and "${hydra" not in typed["run_dir"]:
-        folder = Path(compose_options(command, words).run_dir)
+    folder = _run_folder(command, words)
     resumed = typed.get("resume", "")
     if resumed and os.path.realpath(folder) == os.path.realpath(resumed):
         return
@@ -78,37 +80,52 @@ def check_run_folder(command: str, words: Sequence[str]) -> None:
         )
 
 
+def _run_folder(command: str, words: Sequence[str]) -> Path:
+    """Return the folder that is given as run_dir."""
+    typed = given(words)["run_dir"]
+    if "${" in typed and "${hydra" not in typed:
+        typed = compose_options(command, words).run_dir
+    return Path(typed)
+
+
 class Replaced:
     """The run that a command continues or replaces; one that is refused is put back.
 
     Hydra replaces its settings and adds to its logs before the command checks anything else.
     """
 
+    _folder: Path = Path()
+    _results: Mapping[str, int] | None = None
+    _saved: Mapping[Path, bytes] = MappingProxyType({})
+
     def __init__(self, command: str, words: Sequence[str]) -> None:
         typed = given(words)
-        self._folder = Path(typed.get("run_dir", ""))
         resumed = typed.get("resume", "null") not in ("", "null")
         replaced = not resumed and command not in CONTINUING and _is_true(typed, "overwrite")
-        paths = [*self._folder.glob(".hydra/*")] if "run_dir" in typed else []
-        if replaced and paths:
-            logs = f"{app_name(command)}.log"
-            paths += [*self._folder.glob(logs), *self._folder.glob(f"*/{logs}")]
-        self._results = self._stamps() if replaced else None
-        is_kept = resumed or replaced
-        self._saved = {p: p.read_bytes() for p in paths if is_kept and p.is_file()}
+        patterns = [".hydra/*"] if resumed or replaced else []
+        if replaced:
+            patterns += ["*/.hydra/*", f"{app_name(command)}.log", f"*/{app_name(command)}.log"]
+        if patterns and "run_dir" in typed:
+            self._folder = _run_folder(command, words)
+            paths = [path for pattern in patterns for path in self._folder.glob(pattern)]
+            self._saved = {path: path.read_bytes() for path in paths if path.is_file()}
+            self._results = self._stamps() if replaced else None
         for path in self._saved:
             if path.suffix == ".log":
                 path.unlink()
 
-    def restore(self) -> None:
-        """Put the settings and logs back, unless the results were replaced."""
-        if self._results is None or self._results == self._stamps():
+    def restore(self, interrupted: bool = False) -> None:
+        """Put the settings and logs back, unless the results were replaced, or may be continued."""
+        untouched = self._results is not None and self._results == self._stamps()
+        if untouched or (self._results is None and not interrupted):
             for path, content in self._saved.items():
                 path.write_bytes(content)
 
     def _stamps(self) -> dict[str, int]:
-        """Return the times at which the results were written."""
-        return {name: (self._folder / name).stat().st_mtime_ns for name in results_in(self._folder)}
+        """Return the times at which files other than settings and logs were written."""
+        files = [*self._folder.glob("[!.]*"), *self._folder.glob("[!.]*/[!.]*")]
+        stamps = {str(path): path.lstat() for path in files if path.suffix != ".log"}
+        return {path: stat.st_mtime_ns for path, stat in stamps.items() if S_ISREG(stat.st_mode)}
 
 
 def _is_true(typed: Mapping[str, str], name: str) -> bool:

@@ -148,11 +148,14 @@ def _parse(word: str, schema: Schema) -> "Override":
     return override
 
 
+_PLAIN = re.compile(r"[\w/.:+@%-]*")  # values that need no quotes
+
+
 def _quoted(key: str, value: str) -> str:
     """Return a setting as it is typed in a shell."""
     if "'" in value:
         return shlex.quote(f'{key}="{value}"')
-    return f"\"{key}='{value}'\"" if set(value) & set(" =,()[]{}") else f"{key}={value}"
+    return f"{key}={value}" if _PLAIN.fullmatch(value) else f"\"{key}='{value}'\""
 
 
 def _values(override: "Override") -> list[Any]:

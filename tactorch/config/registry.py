@@ -168,14 +168,16 @@ def entry_points() -> tuple[Any, ...]:
     found: dict[str, list[Any]] = {}
     for distribution in metadata.distributions():
         try:
+            name = getattr(distribution, "_normalized_name", None) or _name(distribution)
+            if name in found:  # the first of a name counts
+                continue
             entries = [e for e in distribution.entry_points if e.group.startswith(GROUPS)]
         except Exception as error:  # whatever a damaged list leads to
             raise ConfigError(
                 f"entry_points.txt of the package {_name(distribution)} cannot be read ({error}); "
                 "reinstall or uninstall it, as other packages fail by it too."
             ) from error
-        if entries:
-            found.setdefault(_name(distribution), entries)  # the first of a name counts
+        found[str(name)] = entries
     every = [entry for entries in found.values() for entry in entries]
     return tuple(sorted(every, key=lambda entry: entry.group))
 

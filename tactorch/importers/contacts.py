@@ -28,6 +28,7 @@ _CONTACT_NOISE, _THRESHOLD = 5.0, 0.05
 _OUTLIER = 12.0  # distance of a sample from the others of its probe, over theirs
 _MAX_OUTLIERS = 2  # of a probe, besides single samples far from those beside them
 _BESIDE = range(1, 6)  # distances of the samples before and after one that predict its force
+_ROUNDING = 1e-9  # of forces that were written as text, over the largest
 _NEIGHBOURS = 16  # contacts, with their own, that tell whether the surface is flat
 
 
@@ -161,8 +162,9 @@ def _noise(samples: Samples) -> float:
     same = probe[2:] == probe[:-2]
     second = second[same]
     noise = np.median(np.abs(second)) / 0.6745 if len(second) else 0.0
-    # The median of forces in coarse steps is zero.
-    noise = noise or np.sqrt(np.mean(second**2)) if len(second) else 0.0
+    # The median of forces in coarse steps is zero, but for rounding.
+    if len(second) and noise < _ROUNDING * np.abs(force).max():
+        noise = np.sqrt(np.mean(second**2))
     return max(float(noise) / np.sqrt(6.0), 1e-6)
 
 
@@ -256,8 +258,9 @@ def _without_outliers(samples: Samples, noise: float, source: str) -> Samples:
 def _spikes(samples: Samples, noise: float) -> Bool[np.ndarray, " s"]:
     """Return which samples are far from those before and after them, whatever their share.
 
-    The distance is that from the median of five lines through others, which two spikes do
-    not change, over that of the samples beside it, which a bend of the force has, too.
+    The distance is that from the median of up to five lines through others, of which two spikes
+    change less than half, over that of the samples beside it, which a bend of the force has, too.
+    Lines are not continued into the air before the contact.
     """
     order = np.lexsort((samples.advance_mm, samples.probe))
     reach = 2 * max(_BESIDE)
@@ -269,11 +272,12 @@ def _spikes(samples: Samples, noise: float) -> Bool[np.ndarray, " s"]:
 
     def line(k: int) -> np.ndarray:
         before, after = beside(force, k), beside(force, -k)
-        ends = [2.0 * before - beside(force, 2 * k), 2.0 * after - beside(force, -2 * k)]
-        end = np.where(np.isnan(after), *ends)
-        return np.where(np.isnan(before + after), end, 0.5 * (before + after))
+        at_end = 2.0 * before - beside(force, 2 * k)
+        return np.where(np.isnan(after), at_end, 0.5 * (before + after))
 
-    apart = np.abs(force - np.median([line(k) for k in _BESIDE], axis=0))
+    lines = np.sort([line(k) for k in _BESIDE], axis=0)  # those that are not known come last
+    middle = np.maximum(np.isfinite(lines).sum(axis=0) - 1, 0) // 2
+    apart = np.abs(force - np.take_along_axis(lines, middle[None], axis=0)[0])
     around = np.sort([beside(apart, k) for k in (-2, -1, 1, 2)], axis=0)
     usual = np.maximum(np.where(np.isnan(around[2]), around[1], around[2]), noise)
     far = np.zeros(len(order), dtype=bool)

@@ -152,7 +152,7 @@ def _suffix(
         raise ConfigError(
             f"The column {column!r} has the unit {unit!r}, which is none of {', '.join(units)}; "
             "convert its numbers, and state their unit, as in "
-            f'"format.units={{{quantity}: {next(iter(units))}}}".'
+            f'"format.units={{{quantity}: {next(iter(units))}}}", or remove the column.'
         )
     return units[max(matches, key=len)] if matches else 1.0
 

@@ -33,7 +33,7 @@ _REQUIRED = {
 _UNIT_OF_TIME = "(_(s|secs?|ms|us|ns|min))"
 _TIMES = (rf"time{_UNIT_OF_TIME}?", rf"t{_UNIT_OF_TIME}",
           rf"(header_)?(time|timestamp|stamp|ros_time){_UNIT_OF_TIME}?", "t")  # fmt: skip
-_NUMBER = re.compile(r"[+-]?[0-9]+(\.[0-9]*)?")
+_NUMBER = re.compile(r"[+-]?[0-9]+(\.[0-9]*)?|[0-9]\.[0-9]+e[+-][0-9]{2}")  # also of savetxt
 _SECONDS, _NANOSECONDS = re.compile(r"(.*_)?secs?"), re.compile(r"(.*_)?n(ano)?secs?")
 MIN_SAMPLES = 4  # of a probe
 #: Travel of a probe, over the ball's radius, below which it did not move.

@@ -138,7 +138,7 @@ def _find_names(lines: list[str]) -> int:
         names, cells = _split([line, lines[len(lines) // 2]])
         filled = sum(map(bool, names))
         fits = 1 < sum(map(bool, cells)) <= filled + 1
-        if fits and 2 * sum(map(_is_number, cells)) > filled > 1:
+        if fits and 2 * sum(map(_is_number, cells)) >= sum(map(bool, cells)) and filled > 1:
             return 0 if any(map(_is_number, names)) else i
     return 0
 
@@ -162,8 +162,8 @@ def _table(source: Path, numbered: list[tuple[int, list[str]]]) -> Sheet:
     rows = [(number, row) for number, row in rows if row not in heads]
     if len(rows) < count:
         _log.info("'%s': %d lines repeat the names or units.", source, count - len(rows))
-    extra = {row[0] for _, row in rows if len(row) == len(names) + 1 and row[0].isdigit()}
-    if len(extra) == len(rows) > 0 and all(row[-1] for _, row in rows):
+    extra = [row[0] for _, row in rows if len(row) == len(names) + 1 and row[-1]]
+    if rows and extra == [str(i + 1) for i in range(len(rows))]:
         names = ["", *names]  # R writes numbers of the rows without a name
     _check_names(source, names)
     cells = []

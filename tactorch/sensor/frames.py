@@ -60,8 +60,6 @@ _SATURATED_VALUE = 254
 # Width of the edge of a contact, and of the rows compared beside it, in fractions of the height.
 _EDGE, _BESIDE = 40, 20
 _MIN_JUMP = 4.0  # between rows or images, gray values; smaller ones are noise
-# Share of the width at which a contact may be torn, and excess over rows beside, over the limit.
-_PART, _BESIDE_LIMIT = 0.1, 0.6
 _THIN = 3  # of so many rows and columns one is compared
 _MATCH = 0.3  # of the difference from the reference, which is left where red and blue are swapped
 
@@ -204,16 +202,16 @@ def detect_fault(
         return "frozen: the same as the frame before it"
     if changed := _altered(image, reference):
         return changed
-    row = _torn_row(image.astype(np.float32) - reference, limits.torn)
+    change = image.astype(np.float32).mean(axis=2) - reference.astype(np.float32).mean(axis=2)
+    row = _torn_row(change, limits.torn)
     return "" if row is None else f"torn at row {row}"
 
 
 def _altered(image: Image, reference: Image) -> str:
     """Return how a program altered the colors of a frame unlike the reference, or ""."""
-    gray, reference_gray = ((i == i[..., :1]).all() for i in (image, reference))
-    if gray and not reference_gray:
-        return "no colors: all channels are equal, unlike in the reference; record in color"
     thin, light = (i[::_THIN, ::_THIN].astype(np.float32) for i in (image, reference))
+    if not np.ptp(thin, axis=2).any() and np.median(np.ptp(light, axis=2)) > _MIN_JUMP:
+        return "no colors: all channels are equal, unlike in the reference; record in color"
 
     def off(values: np.ndarray) -> float:
         return float(np.median(np.abs(values - light).mean(axis=2)))
@@ -224,38 +222,24 @@ def _altered(image: Image, reference: Image) -> str:
     return ""
 
 
-def _torn_row(change: Float[np.ndarray, "h w 3"], limit: float) -> int | None:
+def _torn_row(change: Float[np.ndarray, "h w"], limit: float) -> int | None:
     """Return the row at which another frame begins, if the change shows one.
 
-    The change varies smoothly from row to row, and a tear makes it jump: over much of the width, or
-    across a contact only, then more than a few rows away.
+    The change varies smoothly from row to row, and a tear makes it jump over much of the width. At
+    the straight edge of a contact it jumps too, but back again within a few rows.
     """
-    gray = change.mean(axis=2)
-    jump = np.median(np.abs(np.diff(gray, axis=0)), axis=1)
-    row = int(np.argmax(jump)) + 1
-    size, typical = float(jump[row - 1]), max(float(np.median(jump)), _MIN_JUMP / limit)
-    if size > limit * typical and _is_step(gray, row, size):
-        return row
-    steps = np.abs(np.diff(change := change[:, ::_THIN], axis=0))
-    jump = np.quantile(steps.max(axis=2), 1 - _PART, axis=1)
-    beside = np.pad(jump, 2, mode="edge")
-    excess = jump / np.maximum(np.maximum(beside[:-4], beside[4:]), _MIN_JUMP)
-    row = int(np.argmax(excess)) + 1
-    torn = (steps[row - 1] >= jump[row - 1]).any(axis=1)
-    channel = int(np.argmax(steps[row - 1, torn].mean(axis=0)))
-    found = excess[row - 1] > _BESIDE_LIMIT * limit
-    return row if found and _is_step(change[:, torn, channel], row, float(jump[row - 1])) else None
-
-
-def _is_step(change: Float[np.ndarray, "h w"], row: int, size: float) -> bool:
-    """Whether a jump stays: at a straight edge of a contact it is back within a few rows."""
     height = len(change)
+    jump = np.median(np.abs(np.diff(change, axis=0)), axis=1)
+    row = int(np.argmax(jump)) + 1
+    size, typical = jump[row - 1], max(float(np.median(jump)), _MIN_JUMP / limit)
+    if size <= limit * typical:
+        return None
     gap, reach = max(3, height // _EDGE), max(3, height // _BESIDE)
     above = change[max(row - gap - reach, 0) : row - gap] if row > gap else change[:1]
     below = change[row + gap : row + gap + reach] if row + gap < height else change[-1:]
     # Medians, as markers that move change some rows much.
     step = np.median(np.abs(np.median(below, axis=0) - np.median(above, axis=0)))
-    return bool(step > 0.5 * size)
+    return row if step > 0.5 * size else None
 
 
 def _dropped_frames(time_s: float | None, previous_s: float | None, rate_hz: float | None) -> str:

@@ -25,7 +25,7 @@ _HEADER_BYTES = 1 << 20
 _META_END = re.compile(rb"^[ \t]*ElementDataFile[ \t]*=[^\n]*\n?", re.MULTILINE | re.IGNORECASE)
 _NRRD_END = re.compile(rb"\r?\n[ \t]*\r?\n|\Z")
 _TYPE = re.compile("(met)?(u|unsigned|signed)?(char|longlong|long|short|int(8|16|32|64)?)(int)?t?")
-_SIZES = {"char": 1, "short": 2, "int": 4, "long": 8, "longlong": 8}
+_SIZES = {"char": 1, "short": 2, "int": 4, "long": 8, "metlong": 4, "longlong": 8}
 _FLOATS = {"float": "f4", "metfloat": "f4", "double": "f8", "metdouble": "f8"}
 _PARTS = 32  # of a volume whose segments are found at once, which takes 16 bytes for each voxel
 _PACKED = ("gzip", "gz", "bzip2", "bz2")
@@ -141,7 +141,8 @@ def _code(fields: _Fields) -> str:
         raise ValueError(f"its type '{stated[:40]}' is not known")
     if match is None:
         return _FLOATS[name]
-    size = int(match[4]) // 8 if match[4] else _SIZES[match[3]]
+    kind = "metlong" if match[1] and match[3] == "long" else match[3]
+    size = int(match[4]) // 8 if match[4] else _SIZES[kind]
     return f"{'u' if match[2] and match[2][0] == 'u' else 'i'}{size}"
 
 

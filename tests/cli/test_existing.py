@@ -100,6 +100,31 @@ def test_a_refused_command_leaves_the_run_that_it_would_replace(tactorch: Any, r
     assert refused.status == 2
     assert "'gone.h5' is not a file" in refused.err
     assert contents(run) == before
+    Path("dangling").symlink_to("nowhere")  # in the current folder, which is no run
+    assert tactorch("invert", "recording=gone.h5", *QUICK, "overwrite=true").status == 2
+
+
+def test_settings_that_are_only_shown_change_nothing(
+    tactorch: Any, run: Path, recording: Path
+) -> None:
+    before = contents(run)
+    words = (f"recording={recording}", f"run_dir={run}", *QUICK, "overwrite=true")
+    assert tactorch("invert", *words, "--cfg", "job").status == 0
+    assert contents(run) == before
+
+
+def test_an_interrupted_command_leaves_the_run_that_it_would_replace(
+    tactorch: Any, run: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = contents(run)
+
+    def interrupt(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tactorch.recording.Recording.load", interrupt)
+    ended = tactorch("invert", f"recording={recording}", f"run_dir={run}", *QUICK, "overwrite=true")
+    assert ended.status == 130
+    assert contents(run) == before
 
 
 def test_a_dataset_is_not_written_among_other_files(tactorch: Any, run: Path) -> None:
@@ -175,10 +200,11 @@ def test_paths_with_an_equals_sign_are_paths(tactorch: Any, run: Path, recording
     remedy = "recording='c=d.h5'"
     assert f'"{remedy}"' in refused.err
     assert tactorch("invert", remedy, *QUICK).status == 0
-    shutil.copy(recording, "o'neil (1).h5")
-    refused = tactorch("invert", "recording=o'neil (1).h5")
-    (remedy,) = shlex.split(refused.err.rpartition("own quotes: ")[2].strip().removesuffix("."))
-    assert tactorch("invert", remedy, *QUICK, "run_dir=other").status == 0
+    for name in ("o'neil (1).h5", "run#2;b~.h5"):
+        shutil.copy(recording, name)
+        refused = tactorch("invert", f"recording={name}")
+        (remedy,) = shlex.split(refused.err.rpartition("own quotes: ")[2].strip().removesuffix("."))
+        assert tactorch("invert", remedy, *QUICK, f"run_dir=run {name[0]}").status == 0
 
 
 def test_long_settings_and_settings_that_name_a_file_are_settings(tactorch: Any) -> None:

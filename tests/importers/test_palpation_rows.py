@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from tactorch.errors import TactorchError
 from tactorch.fem.contact.pressures import ball_force
 from tactorch.importers import import_palpation
+from tactorch.importers.sheets import read_sheet
 from tactorch.importers.strokes import find_mixed, find_stroke, is_limited, lost_work
 from tactorch.mesh import TetMesh, box_mesh, write_mesh
 from tactorch.recording import Recording
@@ -120,6 +121,15 @@ def test_bends_and_jumps_of_the_force_are_no_spikes(tmp_path: Path, jumps: bool)
         rows[rows[:, 3] < HEIGHT + RADIUS - 0.6, 6] += 1.0
     recording = read(write(tmp_path / "p.csv", rows))
     assert "far from the others of their probe" not in recording.provenance["rows_left_out"]
+
+
+@pytest.mark.parametrize("resolution_n", [0.01, 0.02])
+def test_forces_in_coarse_steps_are_no_spikes(tmp_path: Path, resolution_n: float) -> None:
+    rows = palpation(path_of(step=0.05))
+    rows[:, 4:7] = resolution_n * np.round(rows[:, 4:7] / resolution_n)
+    recording = read(write(tmp_path / "p.csv", rows))
+    assert "far from the others of their probe" not in recording.provenance["rows_left_out"]
+    assert recording.provenance["noise_n"] > 0.05 * resolution_n
 
 
 @pytest.mark.parametrize("jitter_mm", [0.005, 0.02, 0.05])
@@ -673,6 +683,21 @@ def test_spaces_in_names_are_reported_with_the_line_of_names(tmp_path: Path) -> 
     (tmp_path / "p.csv").write_text("\n".join(rows))
     with pytest.raises(TactorchError, match=r"line 3 has 8 cells.*\(line 2\) 7; .*spaces in names"):
         read(tmp_path / "p.csv")
+
+
+def test_names_of_columns_above_units_and_empty_cells(tmp_path: Path) -> None:
+    lines = ["press,x,y,z,ux,uy,uz,fx,fy,fz", ",mm,mm,mm,mm,mm,mm,N,N,N"]
+    (tmp_path / "t.csv").write_text("\n".join([*lines, *["1,1,2,3,,,,,,0.5"] * 5]))
+    sheet = read_sheet(tmp_path / "t.csv")
+    assert [*sheet.columns][:2] == ["press", "x [mm]"]
+
+
+def test_numbers_of_probes_as_numpy_writes_them(tmp_path: Path) -> None:
+    lines = write(tmp_path / "p.csv", palpation()).read_text().splitlines()
+    cells = (line.split(",", 1) for line in lines[1:])
+    rows = [f"{float(first):.18e},{rest}" for first, rest in cells]
+    (tmp_path / "p.csv").write_text("\n".join([lines[0], *rows]))
+    assert {press.name for press in read(tmp_path / "p.csv").presses} >= {"probe 0", "probe 11"}
 
 
 def test_rows_without_numbers_are_counted(tmp_path: Path) -> None:

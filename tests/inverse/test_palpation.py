@@ -237,6 +237,7 @@ def test_a_search_on_a_part_of_many_places_comes_first(
     assert len(found.predictions.data) == len(with_lump.presses)
 
 
+@pytest.mark.slow
 def test_a_search_that_ends_at_the_first_places_keeps_their_model(
     with_lump: Recording, interrupted: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -416,6 +416,7 @@ def test_a_sensor_that_is_not_fitted_leaves_the_whole_posterior(recording, found
     assert inclusion.youngs_90_mpa.high == pytest.approx(expected.youngs_90_mpa.high, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_search_continues_from_the_model_of_other_presses(recording, found):
     """It does not start from a uniform body, and keeps what the other presses showed."""
     fewer = replace(recording, presses=recording.presses[2:])
@@ -699,6 +700,7 @@ def test_meshes_are_refined_at_inclusions_and_small_contacts(recording):
     assert np.isinf(lengths[1])
 
 
+@pytest.mark.slow
 def test_the_correction_is_the_error_of_the_common_mesh():
     """Two pressures of a patch on a coarse mesh: the correction leaves a fraction of the error."""
     recording = simulate(

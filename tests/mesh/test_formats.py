@@ -526,6 +526,10 @@ def test_text_of_several_solids(tmp_path: Path) -> None:
     (tmp_path / "s.stl").write_text("\n".join([*first, *second][:-4]))
     with pytest.raises(FileError, match="no line 'endsolid' at its end"):
         read_surface(tmp_path / "s.stl")
+    four = [*first[:6], first[5], *first[6:]]
+    (tmp_path / "s.stl").write_text("\n".join(four))
+    with pytest.raises(FileError, match="vertices, not three each"):
+        read_surface(tmp_path / "s.stl")
     (tmp_path / "s.stl").write_text("\ufeff" + "\r".join([*first, *second]), newline="")
     found, faces = read_surface(tmp_path / "s.stl")
     np.testing.assert_allclose(found[faces], vertices[triangles], atol=1e-7)
@@ -680,7 +684,8 @@ def test_vertices_that_differ_by_rounding_are_merged(
     (tmp_path / "s.obj").write_text("\n".join(lines))
     points, faces = closed_surface(*read_surface(tmp_path / "s.obj"))
     assert len(points) == 8
-    (tmp_path / "s.obj").write_text("\n".join(lines).replace("f ", "f \\\n  "))  # lines that go on
+    comment = "# of C:\\scans\\\n"  # does not go on, unlike the faces
+    (tmp_path / "s.obj").write_text(comment + "\n".join(lines).replace("f ", "f \\\n  "))
     np.testing.assert_array_equal(closed_surface(*read_surface(tmp_path / "s.obj"))[1], faces)
     assert enclosed_volume(points, faces) == pytest.approx(1000.0, rel=1e-5)
     assert "28 vertices are merged with others within 1.7e-05" in caplog.text

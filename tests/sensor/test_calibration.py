@@ -99,7 +99,10 @@ def test_rough_circles_are_mended_and_held_out_slopes_are_seen() -> None:
     assert abs(one.radius_px - truth[0].radius_px) < 3.0
 
 
-@pytest.mark.parametrize("name", SENSOR_MAPS.names())
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow) if n == "camera" else n for n in SENSOR_MAPS.names()],
+)
 def test_every_map_learns_and_is_kept(name: str, tmp_path: Path) -> None:
     pressed = touches(CENTERS)
     found, _ = fit_map(pressed, BALL, FitOptions(name, rounds=0))

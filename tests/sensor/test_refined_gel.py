@@ -81,6 +81,7 @@ def found(gel: RefinedGel, truth: tuple[np.ndarray, ...]) -> GelContact:
     return gel.solve(measured(truth, np.random.default_rng(0)), free_plane=True)
 
 
+@pytest.mark.slow
 def test_force_of_a_contact_with_a_sharp_edge(
     found: GelContact, truth: tuple[np.ndarray, ...]
 ) -> None:
@@ -94,6 +95,7 @@ def test_force_of_a_contact_with_a_sharp_edge(
     assert np.abs(found.forces[~inside]).max() == 0.0
 
 
+@pytest.mark.slow
 def test_errors_of_forces_follow_from_those_of_displacements(
     gel: RefinedGel, found: GelContact, truth: tuple[np.ndarray, ...]
 ) -> None:
@@ -119,6 +121,7 @@ def test_errors_of_forces_follow_from_those_of_displacements(
     np.testing.assert_allclose(forces, wanted, atol=1e-3 * np.abs(wanted).max())
 
 
+@pytest.mark.slow
 def test_forces_near_the_edge_have_further_errors(found: GelContact) -> None:
     assert found.errors is not None
     only = ~found.errors.displacement.any(axis=(1, 2))

@@ -197,9 +197,12 @@ def test_names_of_types(tmp_path: Path, name: str, code: str) -> None:
     np.testing.assert_array_equal(read_volume(path).labels, labels())
 
 
-def test_meta_images_of_long_long(tmp_path: Path) -> None:
-    path = meta(tmp_path / "v.mha", labels().astype("<i8"), np.eye(4))
-    path.write_bytes(path.read_bytes().replace(b"MET_UCHAR", b"MET_LONG_LONG"))
+@pytest.mark.parametrize(
+    ("name", "code"), [(b"MET_LONG_LONG", "<i8"), (b"MET_LONG", "<i4"), (b"MET_ULONG", "<u4")]
+)
+def test_long_numbers_of_meta_images(tmp_path: Path, name: bytes, code: str) -> None:
+    path = meta(tmp_path / "v.mha", labels().astype(code), np.eye(4))
+    path.write_bytes(path.read_bytes().replace(b"MET_UCHAR", name))
     np.testing.assert_array_equal(read_volume(path).labels, labels())
 
 

@@ -54,6 +54,8 @@ def read_stl(path: Path) -> Polygons:
             np.frombuffer(content, _TRIANGLE, count, _HEADER) if count else np.zeros(0, _TRIANGLE)
         )
         corners = table["corners"].reshape(-1, 3).astype(np.float64)
+    if len(corners) % 3:
+        raise ValueError(f"its facets have {len(corners)} vertices, not three each")
     return corners, np.arange(len(corners)), np.full(len(corners) // 3, 3)
 
 
@@ -65,7 +67,8 @@ def read_obj(path: Path) -> Polygons:
     """
     vertices, nodes, widths = array("d"), array("q"), array("q")
     text = read_content(path, 2 * _EXPANSION).decode("utf-8", errors="replace")
-    text = re.sub(r"\\[ \t]*\r?\n", " ", text)  # a line may go on in the next one
+    if "\\" in text:  # a line may go on in the next one
+        text = re.sub(r"^([ \t]*[vf][^\n#]*?)\\[ \t]*\r?\n", r"\1 ", text, flags=re.MULTILINE)
     for line in _LINE.finditer(text):
         if line[1] is None:
             continue
