@@ -266,7 +266,11 @@ FORCE, POSITIONS, SPRINGS, SEEN = (f"presses/{name}1.txt" for name in ("force", 
         ("nothing can be written into 'case/mesh.msh'", "a.h5", "choose another folder"),
         settings=("out=case/mesh.msh/a.h5",),
     ),
-    Case("output is a folder", ("out=case is a folder", "give the name of a file"), settings=("out=case",)),
+    Case(
+        "output is a folder",
+        ("out=case is a folder", "give the name of a file"),
+        settings=("out=case",),
+    ),
 )
 def test_import_refuses(
     case: Case, tactorch: Any, published: Path, tmp_path: Path, table: list[tuple[str, str]]

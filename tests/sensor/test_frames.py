@@ -176,7 +176,9 @@ def test_a_gray_sensor_may_have_colors_of_its_codec(gel_image: np.ndarray) -> No
     gray = np.repeat(gel_image[..., :1], 3, axis=2)
     noisy = gray.copy()
     noisy[3, 5, 1] ^= 1
-    assert detect_fault(np.clip(gray + dent(9.0)[..., :1], 0, 255).astype(np.uint8), noisy, None) == ""
+    assert (
+        detect_fault(np.clip(gray + dent(9.0)[..., :1], 0, 255).astype(np.uint8), noisy, None) == ""
+    )
 
 
 def test_a_press_is_no_fault(gel_image: np.ndarray) -> None:
