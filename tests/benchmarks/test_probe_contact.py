@@ -15,6 +15,7 @@ def test_the_force_of_a_ball_is_that_on_a_bonded_layer(benchmark, case: str) -> 
     assert found["steps"] == 1
 
 
+@pytest.mark.slow
 def test_a_press_on_linear_elements_converges_at_once(benchmark) -> None:
     found = benchmark.timed()
     assert found["elements"] == 5000

@@ -51,6 +51,7 @@ def grown(noisy: Recording) -> tuple[IncrementalInversion, list[Any]]:
     return growing, [growing.add([press]) for press in noisy.presses]
 
 
+@pytest.mark.slow
 def test_after_the_last_press_the_map_is_as_good_as_that_of_a_whole_inversion(
     noisy: Recording, grown: tuple[IncrementalInversion, list[Any]], whole: Reconstruction
 ) -> None:

@@ -109,6 +109,7 @@ def error_of(recording: Recording, prior: dict[str, object]) -> float:
     return float(np.sqrt(np.average(squares, weights=recording.mesh.volumes)))
 
 
+@pytest.mark.slow
 def test_means_by_region_improve_the_map(recording: Recording) -> None:
     plain = error_of(recording, {"name": "tikhonov"})
     # Means that are wrong by 20 %.

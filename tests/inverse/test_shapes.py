@@ -428,6 +428,7 @@ def test_a_search_continues_from_the_model_of_other_presses(recording, found):
     assert inclusion.shape.radius_mm == pytest.approx(2.5, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_start_that_the_presses_contradict_is_removed(uniform_recording):
     """A ball of an earlier search is not kept where further presses show none."""
     nothing = find_shapes(uniform_recording, max_shapes=2)
@@ -729,6 +730,7 @@ def test_the_correction_is_the_error_of_the_common_mesh():
         assert np.linalg.norm(error - offsets[i]) < 0.35 * np.linalg.norm(error)
 
 
+@pytest.mark.slow
 def test_whole_sides_are_corrected_at_sharp_edges_and_inclusions(recording):
     newton = NewtonOptions()
     problem = InverseProblem(recording, element="tet10", newton=newton)

@@ -122,6 +122,7 @@ def test_patterns_explain_the_traction_that_ends_within_triangles(recording, pro
     assert np.linalg.norm(few, axis=0).min() > 1.0
 
 
+@pytest.mark.slow
 def test_errors_at_rims_are_kept_while_the_moduli_there_remain(recording, problem, monkeypatch):
     """The meshes of a correction, by the number of their presses; their changes are ordinals."""
     meshes = []
@@ -155,6 +156,7 @@ def test_errors_at_rims_are_kept_while_the_moduli_there_remain(recording, proble
     assert at_both > at_ball
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uniform")
 def test_the_search_may_take_tractions_at_rims_as_wrong(presses):
     levels = [e.get("rims", 0.0) for _, e in presses.errors.others(presses.errors.least)]

@@ -163,6 +163,7 @@ def test_nodes_at_the_edge_of_the_points_have_more_noise(
     assert deviations[radii.argmax()] > 1.05 * deviations[radii.argmin()]
 
 
+@pytest.mark.slow
 def test_a_wrong_position_changes_the_displacements_as_predicted(predicted: Any) -> None:
     """A press at another place with its points, whose position is reported as before."""
     presser, press, prediction = predicted
