@@ -492,6 +492,8 @@ ATTACKS: list[tuple[str, str, Callable[[Path], Path]]] = [
     ("image", "many scans", jpeg_scans),
     ("table", "long", text("x,y\n" + "1,\n" * 2_000_000, "a.csv")),
     ("table", "many columns", text("," * 4_000_000, "a.csv")),
+    ("table", "long cell", text("x,y\n" + f"{'1' * 100_000},1\n" + "1,1\n" * 20_000, "a.csv")),
+    ("table", "empty lines", text("\n" * 20_000_000, "a.csv")),
     ("table", "rows", parquet_rows),
     ("table", "long text in each row", parquet_text),
     ("bag", "expands (zstd)", mcap("zstd")),
@@ -524,7 +526,7 @@ ATTACKS: list[tuple[str, str, Callable[[Path], Path]]] = [
 ]  # fmt: skip
 #: Files that are read within the limits: one copy is kept of what repeats, and what is beyond the
 #: stated size is not read.
-SHARED = {("table", "long text in each row"), ("volume", "longer than stated (nrrd)")}
+SHARED = {("volume", "longer than stated (nrrd)")}
 
 
 #: Files that take long to make; others of their kind are quick.

@@ -3,6 +3,7 @@
 import csv
 import logging
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ _DELIMITERS = ",;\t"
 _COMMENTS = ("#", "%", "//", "sep=", '"sep=')  # the last ones of Excel
 _UTF_16 = re.compile(rb"\xff\xfe[^\0]\0|\xfe\xff\0[^\0]")  # its mark and a letter
 _MAX_ABOVE = 100  # lines above the names
+_MAX_CELL = 1000  # characters; arrays of text are as wide as the longest
 _BYTES_PER_CELL = 64  # of a number of Python in a list
 _MISSING = ("", "-", "nan", "na", "n/a", "null", "none")
 
@@ -103,22 +105,35 @@ def read_sheet(path: str | Path, what: str = "table of presses") -> Sheet:
     sheet = _parquet(source) if source.suffix.lower() == ".parquet" else _text(source)
     if not len(sheet.lines):
         raise FileError(f"'{source}' has no rows; a {what} has a line for each sample or point.")
+    _check_cells(sheet)
     return sheet
+
+
+def _check_cells(sheet: Sheet) -> None:
+    """Refuse text that is too long for a number or a name."""
+    for name, cells in sheet.columns.items():
+        for line, cell in zip(sheet.lines, cells, strict=True):
+            if isinstance(cell, str) and len(cell) > _MAX_CELL:
+                raise FileError(
+                    f"'{sheet.path}' {line}, column {name[:20]!r}, has {len(cell)} characters, more"
+                    f" than {_MAX_CELL}; shorten them."
+                )
 
 
 def _text(source: Path) -> Sheet:
     try:
         content = read_content(source, TEXT)
         texts = content.decode("utf-16" if _UTF_16.match(content) else "utf-8-sig").splitlines()
-        numbered = [(n, text.strip(" ")) for n, text in enumerate(texts, start=1)]
-        lines = [(n, t) for n, t in numbered if t.strip() and not t.startswith(_COMMENTS)]
+        stripped = ((n, text.strip(" ")) for n, text in enumerate(texts, start=1) if text)
+        numbered = [(n, text) for n, text in stripped if text.strip()]
+        lines = [(n, t) for n, t in numbered if not t.startswith(_COMMENTS)]
         if len(lines) == 1:  # names of probes such as #1
-            lines += [(n, t) for n, t in numbered[lines[0][0] :] if t.startswith("#")]
+            lines += [(n, t) for n, t in numbered if n > lines[0][0] and t.startswith("#")]
         if not lines:
             raise FileError(f"'{source}' is empty; a table has a line of names, then numbers.")
-        above = [line for line in numbered[: lines[0][0] - 1] if line[1]]
-        if above and any(map(_is_number, re.split(r"[;,\s]+", lines[0][1]))):
-            lines.insert(0, (above[-1][0], above[-1][1].lstrip("#%/ ")))
+        at = numbered.index(lines[0])
+        if at and any(map(_is_number, re.split(r"[;,\s]+", lines[0][1]))):
+            lines.insert(0, (numbered[at - 1][0], numbered[at - 1][1].lstrip("#%/ ")))
         lines = lines[_find_names([text for _, text in lines]) :]
         rows = _split([text for _, text in lines])
     except (UnicodeDecodeError, csv.Error) as error:
@@ -252,6 +267,6 @@ def _as_text(cell: Any) -> str:
 
 
 def _check_names(source: Path, names: list[str]) -> None:
-    twice = next((name for name in names if name and names.count(name) > 1), None)
+    twice = next((name for name, count in Counter(names).items() if name and count > 1), None)
     if twice is not None:
         raise FileError(f"'{source}' has two columns {twice!r}; rename or remove one.")
